@@ -34,7 +34,7 @@ import bsk_torch
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.bounds import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
-from bsk_torch.lab.planners import planner, redraw_clouds
+from bsk_torch.lab.planners import planner
 from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.evaluation.statistics import confidence
@@ -122,7 +122,7 @@ CASES = {
         "CloudyAEOS-v1",
         dict(time_limit=2850.0),
         "farsighted",
-        dict(horizon=360.0, gamma=0.99, futures=4, redraw=redraw_clouds),
+        dict(horizon=360.0, gamma=0.99, futures=4),
         IMAGING,
     ),
     "NadirScan-v1": Case("NadirScan-v1", dict(time_limit=5700.0), "rule", dict(horizon=6000.0, gamma=1.0), SCANNING),

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
     from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
     from bsk_torch.presets import make
+    from bsk_torch.rl.evaluation import compare, evaluate
+    from bsk_torch.rl.marl.one_call import train
     from bsk_torch.rl.policies.shared_policy import rule
+    from bsk_torch.rl.rules.readers import reader
+    from bsk_torch.rl.tuning import tune
     from bsk_torch.sim import dyn, faults, fsw
 
 __version__ = "0.2.0"
@@ -26,18 +30,23 @@ __all__ = [
     "SatelliteTasking",
     "act",
     "comm",
+    "compare",
     "craft",
     "data",
     "dyn",
+    "evaluate",
     "faults",
     "formations",
     "fsw",
     "make",
     "obs",
     "rand",
+    "reader",
     "rule",
     "sats",
     "scene",
+    "train",
+    "tune",
 ]
 
 _HOMES = {
@@ -45,11 +54,16 @@ _HOMES = {
     "ConstellationTasking": "bsk_torch.env",
     "GeneralSatelliteTasking": "bsk_torch.env",
     "SatelliteTasking": "bsk_torch.env",
+    "compare": "bsk_torch.rl.evaluation",
     "dyn": "bsk_torch.sim.dyn",
+    "evaluate": "bsk_torch.rl.evaluation",
     "faults": "bsk_torch.sim.faults",
     "fsw": "bsk_torch.sim.fsw",
     "make": "bsk_torch.presets",
+    "reader": "bsk_torch.rl.rules.readers",
     "rule": "bsk_torch.rl.policies.shared_policy",
+    "train": "bsk_torch.rl.marl.one_call",
+    "tune": "bsk_torch.rl.tuning",
 }
 """Modules that have, or are, what is not a module of the package itself."""
 

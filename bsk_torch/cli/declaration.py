@@ -28,14 +28,18 @@ def flag(metavar: str, text: str, *names: str, **settings: Any) -> Any:
 
 # -- arguments and options of several commands -----------------------------------------------------------------------------------
 
-Preset = Annotated[str, typer.Argument(help="Environment; 'bsk-torch list' names them.", show_default=False)]
+Preset = Annotated[
+    str, typer.Argument(help="Environment; 'bsk-torch list' names them; or your own (module:name or file.py:name).", show_default=False)
+]
 BASELINES = ", ".join(RULES)
 ANY = "Run folder, policy file, 'pretrained', your own function (package.module:function),"
 PLANNED = f"{ANY} a baseline ({BASELINES}), or a planner ({', '.join(f'plan:{name}' for name in PLANNERS)})."
 Policy = Annotated[str, typer.Argument(help=f"{ANY} or a baseline: {BASELINES}.", show_default=False)]
 PolicyOrPlanner = Annotated[str, typer.Argument(help=PLANNED, show_default=False)]
 PoliciesOrPlanners = Annotated[list[str], typer.Argument(help=PLANNED, show_default=False)]
-OfPreset = Annotated[str | None, flag("NAME", "Environment; default: that of the run, or NadirScan-v1.")]
+OfPreset = Annotated[
+    str | None, flag("NAME", "Environment, or your own (module:name or file.py:name); default: that of the run, or NadirScan-v1.")
+]
 Plan = Annotated[
     list[str] | None, flag("NAME=VALUE", "Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable.")
 ]

@@ -8,7 +8,7 @@ from typing import Any
 
 from bsk_torch._listed import LISTED, PLANNERS, RULES, makings, no_policy, unlisted
 from bsk_torch._rooms import absent_room, resolve
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.sim.names import nearest
 
 PRETRAINED = "pretrained"
@@ -33,19 +33,31 @@ def check_names(arguments: Mapping[str, Any]) -> None:
     preset, what = arguments.get("preset"), arguments.get("what")
     if preset is not None and not arguments.get("resume"):  # else it is the folder of a run
         check_preset(preset)
-    if what is not None and what not in LISTED and not Path(what).exists() and not Path(what).suffix:
+    if what is not None and not is_preset(what) and not Path(what).exists() and not Path(what).suffix:
         fail(f"{what!r} is neither a preset, nor the folder of a run, nor a recording; {nearest(what, LISTED)}")
-    preset = what if what in LISTED else preset
+    if what is not None and is_preset(what):
+        check_preset(what)
+        preset = what
     for policy in ("policy", "policies", "behavior", "target"):
         names = arguments.get(policy) or ()
         for name in [names] if isinstance(names, str) else names:
             check_policy(name, preset)
 
 
+def is_preset(name: str) -> bool:
+    """Return whether a name is that of a preset, or of a function of the user's, ``module:name`` or ``file.py:name``."""
+    return name in LISTED or (":" in name and not Path(name).exists())
+
+
 def check_preset(name: str) -> None:
-    """End the program for a name that is none of the presets."""
-    if name not in LISTED:
+    """End the program for a name that is none of the presets; import a function of the user's, which takes its place."""
+    if not is_preset(name):
         fail(unlisted(name))
+    if name not in LISTED:
+        from bsk_torch.presets.own import enter_named
+
+        with refusing(TypeError, ValueError):
+            enter_named(name)
 
 
 def check_policy(name: str, preset: str | None) -> None:

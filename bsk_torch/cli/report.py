@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bsk_torch._rooms import absent_room
-from bsk_torch.cli.declaration import MachineOptions, flag
+from bsk_torch.cli.declaration import MachineOptions, OfPreset, flag
 from bsk_torch.cli.shared import check_writable, environment, extra
 from bsk_torch.cli.terminal import echo, refusing, working
 
@@ -30,6 +30,7 @@ VERSIONS = ("bsk_torch", "torch", "torchrl", "matplotlib")
 
 def report(
     run: Annotated[Path, typer.Argument(help="Run folder.", show_default=False)],
+    preset: OfPreset = None,
     episodes: Annotated[int, flag("N", "Unseen episodes, of which the best, the median and the worst are shown.", min=1)] = 64,
     *,
     options: MachineOptions,
@@ -39,12 +40,14 @@ def report(
     Examples:
         bsk-torch report runs/scan
         bsk-torch report runs/scan --episodes 256
+        bsk-torch report runs/mine --preset mine.py:scanner
     """
     from bsk_torch.cli.run_folder import columns, command_of, results, run_card, run_config
     from bsk_torch.rl.evaluation.results import EVALUATION
     from bsk_torch.rl.training.log import EVALUATIONS, LOG
 
     config = run_config(run)
+    config = config if preset is None else replace(config, preset=preset)
     card, log, evaluations = run_card(run, options["device"]), columns(run / LOG), columns(run / EVALUATIONS)
     comparison = results(run / EVALUATION)
     check_writable(run / REPORT)

@@ -44,7 +44,12 @@ Network = Annotated[
 def train(
     context: typer.Context,
     preset: Annotated[
-        str, typer.Argument(help="Environment ('bsk-torch list' names them); with --resume, a run folder.", show_default=False)
+        str,
+        typer.Argument(
+            help="Environment ('bsk-torch list' names them), or your own function of num_envs (module:name or file.py:name); with "
+            "--resume, a run folder.",
+            show_default=False,
+        ),
     ],
     changes: Changes = None,
     algorithm: Algorithm = None,
@@ -77,6 +82,7 @@ def train(
         bsk-torch train AEOS-v1 --network attention --frames 600000 --out runs/aeos
         bsk-torch train NadirScan-v1 learning_rate=1e-3 'hidden=[128,128]'
         bsk-torch train NadirScan-v1 --workers auto
+        bsk-torch train mine.py:scanner --frames 200000 --out runs/mine
         bsk-torch train runs/aeos --resume frames=1200000
     """
     from bsk_torch.cli.training import check, check_resumable, configured, evaluated, read, run, several
@@ -99,7 +105,7 @@ def train(
             if any(change.startswith(f"{name}=") for change in changes):
                 fail(f"{name}= is not a setting; give it as {said}")
         config = configured(preset, algorithm, network, [*several(workers, changes), *changes], seed=seed, options=options)
-        folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
+        folder = out or Path("runs") / f"{Path(preset).name.replace(':', '_')}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
         check(runs)
     env = environment(config.preset, episodes, config.options) if episodes else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -135,10 +136,25 @@ class MadeOfArguments(Snapshots):
             ValueError: For an invalid argument, or if arguments of :func:`bsk_torch.rand.per_env` have too few rows.
             MemoryError: If the episodes do not fit into memory.
         """
+        return self.remade(num_envs=num_envs, env_ids=env_ids, seed=0)
+
+    def remade(self: Environment, **changes: Any) -> Environment:
+        """Return another environment made of the same arguments of the constructor but for ``changes``, without logs.
+
+        With ``num_envs``, ``env_ids`` are 0 to ``num_envs`` - 1 unless given. If only ``num_envs``, ``env_ids`` and ``seed`` change, satellite types
+        are shared, as by :meth:`like`. TypeError and ValueError as from the constructor.
+        """
         kept = {name: value for name, value in self._arguments.items() if name not in ("log_level", "log_dir", "log_envs")}
-        with taking_over(Made([simulator.type for simulator in self.fleet.simulators], self._trial)):
-            other = type(self)(**{**kept, "num_envs": num_envs, "env_ids": env_ids, "seed": 0})
-        other._changes = list(self._changes)
+        ids = {"env_ids": None} if "num_envs" in changes else {}
+        plain = {name for name, value in changes.items() if isinstance(value, str | float | None) and kept.get(name) == value}
+        shares = changes.keys() - plain <= {"num_envs", "env_ids", "seed"}
+        types = Made([simulator.type for simulator in self.fleet.simulators], self._trial)
+        with taking_over(types) if shares else contextlib.nullcontext():
+            other = type(self)(**(kept | ids | changes))
+        if shares:
+            other._changes = list(self._changes)
+        elif self._changes:
+            other._change(self._changes)
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:

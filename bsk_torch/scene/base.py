@@ -17,6 +17,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
 from bsk_torch.sim.instruments import Instrument
+from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import (
     TARGET_KIND,
     TARGETS,
@@ -57,7 +58,7 @@ Drawn = TypeVar("Drawn")
 
 HOOKS = (
     *("validate_satellite_names", "calls_user", "draw", "place_kinds", "present", "link", "reset", "after_step"),
-    *("recorded_targets", "sees"),
+    *("recorded_targets", "sees", "redraw"),
 )
 """Members of :class:`Scenario` that subclasses may define."""
 
@@ -200,6 +201,24 @@ class Scenario:
     def after_step(self, sim_time: Tensor) -> None:
         """Advance to ``sim_time`` [N] s; called after the reward of a step and before communication and observation."""
 
+    def redraw(self, rows: Tensor, key: Key, time: Tensor) -> dict[str, Tensor]:
+        """Draw hidden values again, for copies of episodes in which a planner looks ahead (default: all keep their true values).
+
+        A planner with ``futures`` sees the true values of whatever is not drawn again: weather behind a forecast, or arrivals to
+        come. Draw from the distribution given what is known at ``time``: keep what has shown itself, and draw arrivals to come
+        given that they have not come yet. ``self.drawn(name)[rows]`` are the present values.
+
+        Args:
+            rows: Environments of the copies, indices [n].
+            key: Key of the n futures; use ``key.named("...")`` only, as in :meth:`draw`.
+            time: Time since reset, [n] s.
+
+        Returns:
+            New values of :meth:`draw` by name, [n or 1, ...]. Positions of targets cannot change, because windows follow from
+            them.
+        """
+        return {}
+
     @property
     def memory(self) -> StateTable:
         """Tensors [N, ...] reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
@@ -285,6 +304,24 @@ class Scenario:
                 )
             if not is_of_package(type(self)) and bool(torch.isnan(value).any()):
                 raise ValueError(f"{title}[{name!r}] is NaN in {int(torch.isnan(value).sum())} of {value.numel()} numbers")
+
+    @final
+    def draw_again(self, rows: Tensor, key: Key, time: Tensor) -> None:
+        """Call :meth:`redraw` and write its values; not to be overridden."""
+        title = f"{type(self).__name__}.redraw(rows, key, time)"
+        values = self._drawn_from_key("redraw(rows, key, time)", lambda: self.redraw(rows, key, time))
+        table = self.fleet.scenario_state
+        for name, value in values.items():
+            if name not in table or name == TARGETS:
+                allowed = [known for known in table if known != TARGETS]
+                raise ValueError(f"{title} returns {name!r}, which cannot be drawn again; {nearest(str(name), allowed)}")
+            if value.shape[1:] != table[name].shape[1:] or len(value) not in (1, len(rows)) or not bool(value.isfinite().all()):
+                shape = [len(rows), *table[name].shape[1:]]
+                raise ValueError(f"{title}[{name!r}] has shape {list(value.shape)}; it must be of finite numbers {shape}")
+            table[name][rows] = value.to(table[name])
+        if values:
+            table.touch()
+            self.begin_episodes(rows)
 
     @property
     def varies_population(self) -> bool:

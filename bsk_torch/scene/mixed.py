@@ -114,6 +114,10 @@ class MixedScenario(Scenario):
             drawn |= values
         return drawn
 
+    def redraw(self, rows: Tensor, key: Key, time: Tensor) -> dict[str, Tensor]:
+        """See :meth:`Scenario.redraw`; the values of all scenarios."""
+        return {name: value for part in self._parts() for name, value in part.redraw(rows, key, time).items()}
+
     def place_kinds_of(self, names: Sequence[str], tables: PlaceTables) -> Mapping[str, Places]:
         """See :meth:`Scenario.place_kinds_of`; the places of the scenarios with these satellites."""
         joined = [part for part in self._parts() if not self.members(part).isdisjoint(names)]

@@ -70,6 +70,10 @@ class OverlaidTargets(TargetScenario):
         return self.targets.draw(key)
 
     @override
+    def redraw(self, rows: Tensor, key: Key, time: Tensor) -> dict[str, Tensor]:
+        return self.targets.redraw(rows, key, time)
+
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
         return self.targets._bounds()
 
@@ -169,6 +173,10 @@ def displaced(r: Tensor, error: Tensor) -> Tensor:
     return r * angle.cos() + along * torch.sinc(angle / torch.pi)
 
 
+CANDIDATES = 64
+"""Covers from which one is chosen when clouds are drawn again."""
+
+
 class CloudyTargets(OverlaidTargets):
     """Targets of another scenario, each with a hidden true cloud cover and a forecast of it.
 
@@ -214,6 +222,27 @@ class CloudyTargets(OverlaidTargets):
         forecast = (cover + sigma * key.named("cloud_forecast").normal(t)).clamp(0.0, 1.0)
         clouds = {"cloud_cover": cover, "cloud_forecast": forecast, "cloud_forecast_sigma": sigma}
         return super().draw(key) | clouds
+
+    def redraw(self, rows: Tensor, key: Key, time: Tensor) -> dict[str, Tensor]:
+        """See :meth:`Scenario.redraw`; draws the true cover over all targets again, given its forecast.
+
+        One of :data:`CANDIDATES` covers is chosen with a probability proportional to the likelihood of the forecast
+        (sampling-importance resampling, Rubin 1987). Forecasts of 0 and 1 are clamped, so their likelihood is that of all values
+        beyond.
+        """
+        forecast, sigma = self.cloud_forecast[rows], self.cloud_forecast_sigma[rows].clamp(min=1e-6)
+        best = torch.full_like(forecast, -torch.inf)
+        clouds = forecast
+        for k in range(CANDIDATES):  # in a loop, because all at once would need so many times the memory
+            cover = draw_numbers("cover", self.cover, key.named(f"redrawn cover {k}"), self.most_targets)
+            cover = cover.clamp(0.0, 1.0).to(forecast.device)
+            z = (forecast - cover) / sigma
+            below, above = torch.special.log_ndtr(z), torch.special.log_ndtr(-z)
+            weight = torch.where(forecast <= 0.0, below, torch.where(forecast >= 1.0, above, -0.5 * z.square() - sigma.log()))
+            lot = key.named(f"redrawn lot {k}").uniform(forecast.shape[1]).to(forecast.device)
+            weight = weight - torch.log(-torch.log(lot.clamp(1e-300, 1.0 - 1e-16)))  # Gumbel: the largest is a draw by weights
+            clouds, best = torch.where(weight > best, cover, clouds), torch.maximum(weight, best)
+        return super().redraw(rows, key, time) | {"cloud_cover": clouds}
 
     @override
     def _bounds(self) -> dict[str, tuple[float, float]]:

@@ -30,6 +30,10 @@ FIRE_BOUNDS: dict[str, dict[str, Any]] = {
 }
 
 
+ATTEMPTS = 64
+"""Draws of a fire to come, of which the first that comes after the present time is taken."""
+
+
 class Wildfires(ChangingTargets, UniformTargets):
     """Fires that break out at random places and times, gain priority as they grow, and disappear when they have burnt out.
 
@@ -87,6 +91,29 @@ class Wildfires(ChangingTargets, UniformTargets):
         for name, value in self.fire_args.items():
             values[f"fire_{name}"] = draw_numbers(name, value, key.named(f"fire_{name}"), self.most_targets, **FIRE_BOUNDS[name])
         return values
+
+    def redraw(self, rows: Tensor, key: Key, time: Tensor) -> dict[str, Tensor]:
+        """See :meth:`Scenario.redraw`; fires to come break out at other times after ``time``, spread and burn otherwise.
+
+        Of :data:`ATTEMPTS` times of ignition, the first one to come is taken; fires for which there is none keep theirs.
+        """
+        ignition = self.drawn("fire_ignition")[rows]
+        now = time.unsqueeze(-1)
+        waits = ignition > now
+        values = {f"fire_{name}": self.drawn(f"fire_{name}")[rows].clone() for name in self.fire_args}
+        for k in range(ATTEMPTS):
+            if not bool(waits.any()):
+                break
+            new = {
+                f"fire_{name}": draw_numbers(
+                    name, value, key.named(f"fire_{name} again {k}"), self.most_targets, **FIRE_BOUNDS[name]
+                ).to(ignition.device)
+                for name, value in self.fire_args.items()
+            }
+            taken = waits & (new["fire_ignition"] > now)
+            values = {name: torch.where(taken, new[name], old) for name, old in values.items()}
+            waits = waits & ~taken
+        return super().redraw(rows, key, time) | values
 
     @override
     def _bounds(self) -> dict[str, tuple[float, float]]:

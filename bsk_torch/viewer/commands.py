@@ -14,7 +14,7 @@ from bsk_torch._listed import LISTED
 from bsk_torch.cli.declaration import EnvironmentOptions, Plan, Seed, Until, flag
 from bsk_torch.cli.film import FILMS
 from bsk_torch.cli.film import film as write_film
-from bsk_torch.cli.names import PRETRAINED
+from bsk_torch.cli.names import PRETRAINED, is_preset
 from bsk_torch.cli.shared import check_file, extra
 from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
@@ -124,7 +124,7 @@ def export(
 
 def _named(what: str, policy: str | None) -> tuple[str, str | None]:
     """Policy and preset that the argument and ``--policy`` name; ends the program if there are none."""
-    if what in LISTED:
+    if is_preset(what):
         return policy or PRETRAINED, what
     if policy is not None:
         fail(f"{what!r} is not a preset, for which --policy {policy} could fly; {nearest(what, LISTED)}")

@@ -148,3 +148,17 @@ def test_regions_get_fires_by_their_area():
     share = (0.5 * 30) / (0.5 * 30 + 1 / 3 * 60)
     assert above.double().mean() == pytest.approx(share, abs=FIVE_SIGMA * math.sqrt(share * (1 - share)))
     assert r[above, 2].mean() == pytest.approx(0.75, abs=5 * 0.5 / math.sqrt(12 * int(above.sum())))
+
+
+def test_fires_to_come_are_drawn_again_given_that_they_have_not_come(begin):
+    scenario = begin(scene.Wildfires(2000, 1.0), 1)
+    now, before = 9000.0, {name: scenario.drawn(f"fire_{name}").clone() for name in ("ignition", "burning_time")}
+    new = scenario.redraw(torch.tensor([0]), key(1, seed=3), torch.tensor([now], dtype=torch.float64))
+    come = before["ignition"] <= now
+    for name, old in before.items():
+        assert torch.equal(new[f"fire_{name}"][come], old[come])
+        assert not bool((new[f"fire_{name}"][~come] == old[~come]).any())
+    ignition = new["fire_ignition"][~come]  # uniform from now to the end
+    assert float(ignition.min()) > now
+    spread = (17100.0 - now) / math.sqrt(12.0 * len(ignition))
+    assert float(ignition.mean()) == pytest.approx((17100.0 + now) / 2.0, abs=5.0 * spread)

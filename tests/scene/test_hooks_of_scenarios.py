@@ -229,3 +229,53 @@ def test_hooks_run_in_an_environment():
     scenario.calls.clear()
     env.step(TensorDict({"action": torch.tensor([0, 0])}, env.batch_size))
     assert scenario.calls == ["after_step [5.0, 5.0]"]
+
+
+class Arrivals(scene.UniformTargets):
+    """Targets that arrive at times that nobody knows in advance."""
+
+    def draw(self, key):
+        return super().draw(key) | {"arrival": 100.0 * key.named("arrival").uniform(self.most_targets)}
+
+    def redraw(self, rows, key, time):
+        arrival, now = self.drawn("arrival")[rows], time.unsqueeze(-1)
+        to_come = now + (100.0 - now) * key.named("arrival").uniform(self.most_targets)
+        return {"arrival": torch.where(arrival > now, to_come, arrival)}
+
+
+def test_hidden_draws_are_drawn_again_in_their_rows_only():
+    class Counted(Arrivals):
+        begun = 0
+
+        def reset(self, rows):
+            self.begun += 1
+
+    scenario = attached(Counted(40), 3)
+    before, again = scenario.drawn("arrival").clone(), torch.tensor([2, 0])
+    time = torch.tensor([60.0, 20.0], dtype=torch.float64)
+    scenario.draw_again(again, key(2, seed=11), time)
+    after = scenario.drawn("arrival")
+    assert torch.equal(after[1], before[1])
+    for row, now in ((2, 60.0), (0, 20.0)):
+        come = before[row] <= now
+        assert torch.equal(after[row][come], before[row][come])
+        assert bool((after[row][~come] > now).all())
+        assert not bool((after[row][~come] == before[row][~come]).any())
+    assert scenario.begun == 2
+    attached(scene.UniformTargets(3)).draw_again(rows(), key(2), torch.zeros(2))  # without a hook, nothing changes
+
+
+def test_rejects_what_cannot_be_drawn_again():
+    def again(values):
+        class Wrong(scene.UniformTargets):
+            def redraw(self, rows, key, time):
+                return values
+
+        attached(Wrong(3)).draw_again(rows(), key(2), torch.zeros(2))
+
+    check_refusals(
+        refusal(lambda: again({"target_priorit": torch.ones(2, 3)}), ValueError, "'target_priorit'", "'target_priority'"),
+        refusal(lambda: again({"target_r_LP_P": torch.ones(2, 3, 3)}), ValueError, "'target_r_LP_P'"),
+        refusal(lambda: again({"target_priority": torch.ones(2, 4)}), ValueError, "'target_priority'", "[2, 4]", "[2, 3]"),
+        refusal(lambda: again({"target_priority": torch.full((2, 3), torch.nan)}), ValueError, "'target_priority'", "finite"),
+    )

@@ -5,7 +5,6 @@ from bsk_torch.lab.planners.beam import BeamSearch
 from bsk_torch.lab.planners.cross_entropy import CrossEntropy
 from bsk_torch.lab.planners.names import PLANNERS, planner
 from bsk_torch.lab.planners.planner import Planner
-from bsk_torch.lab.planners.resampling import redraw_clouds
 from bsk_torch.lab.planners.rollout import ActionValues, Rollout
 from bsk_torch.lab.planners.search import TreeSearch
 
@@ -19,5 +18,4 @@ __all__ = [
     "TreeSearch",
     "base_of",
     "planner",
-    "redraw_clouds",
 ]

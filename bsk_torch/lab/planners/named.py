@@ -16,7 +16,7 @@ from bsk_torch.lab.planners.names import options_of, planner
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.names import nearest
 
-BY_HAND = ("value", "redraw", "prior")
+BY_HAND = ("value", "price", "prior")
 """Options that are modules or functions, which the command line cannot name."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import torch
@@ -15,9 +16,10 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE, decide
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
-from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Value, carried, check_copyable
-from bsk_torch.lab.planners.resampling import Redraw, present_key, reseed_copies
+from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Price, Value, carried, check_copyable
+from bsk_torch.lab.planners.resampling import present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
+from bsk_torch.rl.rules.readers import reader
 from bsk_torch.rl.training.config import REWARD_TIMES
 from bsk_torch.sim.names import one_of
 
@@ -82,8 +84,8 @@ class Planner(TensorDictModuleBase):
     By default, copies have the draws of the true episode, including future ones: if observations are noisy, faults are to come,
     or part of the state is hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them),
     this makes no difference. With ``futures``, each decision is planned in several resampled futures and averaged over them:
-    copies get separate seeds, which determine the noise, faults that have not happened yet are drawn again, and ``redraw`` draws
-    hidden parts of the state. Faults that act are known to the planner, even if they are not observed.
+    copies get separate seeds, which determine the noise, faults that have not happened yet are drawn again, and so are hidden
+    values of the scenario, by :meth:`bsk_torch.scene.Scenario.redraw`. Faults that act are known to the planner, even if they are not observed.
     """
 
     name: ClassVar[str]
@@ -105,8 +107,8 @@ class Planner(TensorDictModuleBase):
         gamma: float = 0.997,
         reward_time: str = "end",
         value: Value | None = None,
+        price: Callable[[Tasking], Tensor] | Mapping[str, float] | None = None,
         futures: int | None = None,
-        redraw: Redraw | None = None,
         seed: int = 0,
         rows: int = ROWS,
     ) -> None:
@@ -121,8 +123,11 @@ class Planner(TensorDictModuleBase):
             reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
             value: A module that writes ``state_value`` [n, 1] for observations [n], used instead of rewards beyond the horizon;
                 branches then end with the first step that reaches it.
+            price: Worth of the state in which a branch is cut at the horizon, in rewards, added there to its return: a function of
+                an environment with the copies that returns [N]; or for one satellite the worth per unit of observed quantities
+                by name, see :func:`bsk_torch.reader`, such as ``{"battery_charge_fraction": 0.2}``. Without it, nothing that is
+                left at the horizon counts. States of dead satellites and at the end of the episode have none.
             futures: Number of futures drawn for each decision; None for the true one.
-            redraw: Redraws hidden parts of the state, such as :func:`bsk_torch.lab.planners.redraw_clouds`.
             seed: Seed of futures and samples.
             rows: Number of copies simulated at once, which affects memory and speed but not results.
 
@@ -137,11 +142,7 @@ class Planner(TensorDictModuleBase):
         if value is not None and not callable(value):
             raise ValueError(f"value={value!r} must be a module that writes 'state_value', or None")
         self.futures = None if futures is None else whole("futures", futures, 1)
-        if redraw is not None and not callable(redraw):
-            raise ValueError(f"redraw={redraw!r} must be a function of an environment, rows and a key, such as redraw_clouds")
-        if redraw is not None and futures is None:
-            raise ValueError("redraw= draws futures, and there are none: give futures=1 or more")
-        self.seed, self._redraw = whole("seed", seed, 0), redraw
+        self.seed = whole("seed", seed, 0)
         self._most_rows = whole("rows", rows, 1)
         if not isinstance(env, Tasking):
             raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
@@ -149,6 +150,7 @@ class Planner(TensorDictModuleBase):
         self._check_actions(slots)
         if value is not None and slots.size > 1:
             raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
+        self._price = None if price is None else _as_price(price, env, slots, self.horizon, value)
         policy = base_of(base, env)
         check_copyable(env, slots)
         self._outside = (env, slots)  # not a submodule: an environment is not part of its policy
@@ -190,7 +192,7 @@ class Planner(TensorDictModuleBase):
         """Copies of episodes, created at the first decision, and again after changes of the environment's arguments."""
         if self._branches is None or not torch.equal(self._branches.model.fingerprint, self.env.fingerprint):
             rows = min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
-            self._branches = Branches(self.env, self.slots, self.base, rows, self._discounting, self._value)
+            self._branches = Branches(self.env, self.slots, self.base, rows, self._discounting, self._value, self._price)
         return self._branches
 
     def _store(self, least: int) -> Tasking:
@@ -276,7 +278,7 @@ class Planner(TensorDictModuleBase):
             number = torch.arange(self._copies, device=rows.device).repeat(len(rows))
             key = present_key(self.env, sources, self.env.env_ids[sources], f"future {self.seed}")
             lots = key.uniform(self._copies).gather(1, number.cpu().unsqueeze(1)).squeeze(1)
-            reseed_copies(store, places, lots, key, self._redraw)
+            reseed_copies(store, places, lots, key)
 
     def _jobs(self, td: TensorDictBase, memory: TensorDictBase, real: Tensor, slot: Tensor, plan: Tensor, rows: Tensor) -> Jobs:
         """Return branches of the episodes ``real`` [J] from their copies in ``rows`` [J], with plans [J, D, ...] of agents."""
@@ -338,3 +340,33 @@ class Planner(TensorDictModuleBase):
         mean = q.view(len(base), self._copies, -1).mean(1)
         best, action = mean.max(1)
         return torch.where(best > mean.gather(1, base.unsqueeze(1)).squeeze(1), action, base)
+
+
+def _as_price(
+    price: Callable[[Tasking], Tensor] | Mapping[str, float], env: Tasking, slots: AgentTable, horizon: float, value: Value | None
+) -> Price:
+    """Return a price as a function of an environment and its observations; ValueError for a wrong one."""
+    if value is not None or math.isinf(horizon):
+        other = "value= judges it already" if value is not None else "horizon=inf cuts nothing"
+        raise ValueError(f"price= is for states at the horizon: {other}")
+    if callable(price):
+        return lambda model, now: price(model)
+    if not isinstance(price, Mapping) or not price or slots.size > 1:
+        raise ValueError(
+            f"price={price!r:.80} must be a function of an environment; or, for one satellite, numbers by observed quantity"
+        )
+    see = reader(env)
+    worth = {name: number(f"price[{name!r}]", each) for name, each in price.items()}
+    for name in worth:
+        try:
+            several = see.quantity(name).shape
+        except KeyError as error:
+            raise ValueError(f"price: {error.args[0]}") from error
+        if several:
+            raise ValueError(f"price: {name!r} has several numbers; give a function of an environment")
+
+    def of_observation(model: Tasking, now: TensorDictBase) -> Tensor:
+        parts = [value * see(now["observation"], name).double() for name, value in worth.items()]
+        return torch.stack(parts).sum(0)
+
+    return of_observation

@@ -115,13 +115,13 @@ class Evaluation:
 def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Sequence[int] | None = None) -> Evaluation:
     """Play whole episodes with the most probable actions, and return the results of each.
 
-    Pass either ``seed`` or ``seeds``. With the same seeds, every policy plays the same episodes.
+    With the same seeds, every policy plays the same episodes: by default unseen ones, of the seed :data:`FRESH`.
 
     Args:
         policy: A module that writes the actions of one satellite, or of all agents of a constellation, into the environment's
             tensordict; or a torch module or function of the observation, or a model of Stable-Baselines3, as
-            :func:`~bsk_torch.wrappers.policies.policy_of_one` describes. Entries written under ``next``, such as a recurrent
-            state, are passed to the policy at the next decision.
+            :func:`~bsk_torch.wrappers.policies.policy_of_one` describes; or the name of a rule, or of a policy file or run folder.
+            Entries written under ``next``, such as a recurrent state, are passed to the policy at the next decision.
         env: The environment, with one satellite or several; its episodes are reset.
         seed: Play one episode in each of the environment's N rows: the episodes started after ``env.set_seed(seed)``.
         seeds: Play one episode for each seed, N at a time: the episodes started by ``gymnasium.make(...).reset(seed=...)``. The
@@ -132,15 +132,15 @@ def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Seq
 
     Raises:
         TypeError: For anything else, with what to write.
-        ValueError: For no seeds, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a policy
+        ValueError: For empty ``seeds``, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a policy
             that reads observations missing in the environment.
     """
     policy = as_policy(policy, env)
     check_reads(policy, env.observation_spec, TRAINED_WITH if isinstance(env, SatelliteTasking) else SHARE)
-    if (seed is None) == (seeds is None) or (seeds is not None and len(seeds) == 0):
-        raise ValueError(f"seed={seed} and seeds={seeds}: evaluation needs one of them, and an episode at least")
+    if seeds is not None and (seed is not None or len(seeds) == 0):
+        raise ValueError(f"seed={seed} and seeds={seeds}: give one of them at most, and an episode at least")
     if seeds is None:
-        env.set_seed(seed)
+        env.set_seed(FRESH if seed is None else seed)
         return _evaluated(policy, env, env.reset(), env.batch_size[0])
     n = env.batch_size[0]
     batches = [seeds[k : k + n] for k in range(0, len(seeds), n)]

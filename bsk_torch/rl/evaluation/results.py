@@ -12,6 +12,7 @@ import torch
 
 from bsk_torch.env import Tasking
 from bsk_torch.files import write_file
+from bsk_torch.own_objects import name_of
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import mean, nan_confidence
 from bsk_torch.rl.policies.shared_policy import shared_baselines
@@ -28,19 +29,54 @@ INTERVAL = "95 % interval"
 """Column with the confidence interval of the survival, which stands before it."""
 
 
-def compare(policies: Mapping[str, Actor], env: Tasking, seed: int) -> dict[str, Evaluation]:
-    """Evaluate policies trained with ``seed``, and every applicable baseline, in the same unseen episodes.
+class Comparison(dict[str, Evaluation]):
+    """Results by name of several policies in the same episodes; printed, :func:`comparison_table`."""
+
+    def __str__(self) -> str:
+        return comparison_table(self) if self else "no results"
+
+
+def compare(
+    policies: Mapping[str, Actor] | Sequence[Actor],
+    env: Tasking,
+    seed: int = 0,
+    *,
+    seeds: Sequence[int] | None = None,
+    rules: bool = True,
+) -> Comparison:
+    """Evaluate policies in the same episodes, by default unseen ones, and every rule that applies.
+
+    Printed, the result is a table with paired differences from the first policy and 95 % confidence intervals.
 
     Args:
-        policies: Policies by name; see :func:`~bsk_torch.rl.evaluation.evaluate.evaluate`.
-        env: The environment, which plays one episode in each row.
-        seed: Seed of the training; evaluation uses the episodes of ``seed`` + :data:`FRESH`.
+        policies: Policies by name, or a list; see :func:`~bsk_torch.rl.evaluation.evaluate.evaluate` for what they may be.
+        env: The environment, which plays one episode in each row, unless ``seeds`` are given.
+        seed: Seed of the training; evaluation uses the episodes of ``seed`` + :data:`FRESH`, which training does not see.
+        seeds: Seeds of the episodes instead, for an environment with ``env_ids=[0] * N``.
+        rules: Whether to add the rules of the package that apply, and random actions.
 
     Returns:
         Results by name, the given policies first.
+
+    Raises:
+        TypeError: For what is not a policy, or a list of them.
+        ValueError: See :func:`~bsk_torch.rl.evaluation.evaluate.evaluate`.
     """
-    players = {**policies, **shared_baselines(env, seed)}
-    return {name: evaluate(player, env, seed=seed + FRESH) for name, player in players.items()}
+    if isinstance(policies, str) or not isinstance(policies, Mapping | Sequence):
+        raise TypeError(f"policies={policies!r:.80} must be a list of policies, or a dictionary of them by name")
+    named = policies if isinstance(policies, Mapping) else _named(policies)
+    players = {**named, **{name: rule for name, rule in (shared_baselines(env, seed) if rules else {}).items() if name not in named}}
+    episodes = {"seed": seed + FRESH} if seeds is None else {"seeds": seeds}
+    return Comparison({name: evaluate(player, env, **episodes) for name, player in players.items()})
+
+
+def _named(policies: Sequence[Actor]) -> dict[str, Actor]:
+    """Return policies by their names, numbered where several have the same."""
+    names: list[str] = []
+    for policy in policies:
+        base = str(policy) if isinstance(policy, str | Path) else name_of(policy)
+        names.append(base if base not in names else next(n for k in range(2, len(names) + 3) if (n := f"{base} {k}") not in names))
+    return dict(zip(names, policies, strict=True))
 
 
 def comparison_table(results: Mapping[str, Evaluation]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import shlex
 import sys
 from collections.abc import Collection, Mapping
@@ -14,13 +15,15 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch._listed import LISTED
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS, make
+from bsk_torch.presets.own import OwnEnvironment
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
-from bsk_torch.rl.evaluation.results import EVALUATION, TRAINED, compare, print_results, save_results
+from bsk_torch.rl.evaluation.results import EVALUATION, TRAINED, Comparison, compare, print_results, save_results
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
-from bsk_torch.rl.policies.shared_policy import shared
+from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, check_setting, load_config, read_settings
+from bsk_torch.rl.training.imitation import OWN, enter_teacher
 from bsk_torch.rl.training.recipes import recipe_of
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.sim.arguments.values import nearest
@@ -43,6 +46,8 @@ def is_constellation(preset: str, options: Mapping[str, object] | None = None) -
     """
     if preset not in PRESETS:
         return False
+    if isinstance(PRESETS[preset], OwnEnvironment):
+        return isinstance(PRESETS[preset].sample, ConstellationTasking)
     annotation = inspect.signature(PRESETS[preset], eval_str=True).return_annotation
     if annotation is inspect.Signature.empty or not isinstance(annotation, type):
         return isinstance(make(preset, **({"num_envs": 1, "backend": "eager"} | dict(options or {}))), ConstellationTasking)
@@ -70,11 +75,10 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
         has, fitting = ("many satellites", " or ".join(CRITICS)) if many else ("one satellite", PPO)
         raise ValueError(f"algorithm={algorithm!r} does not train {preset}, which has {has}; use {fitting}")
     recipe, options = recipe_of(preset, network, changes.pop("options", {}))
-    has_sets = preset not in PRESETS or "as_set" in inspect.signature(PRESETS[preset]).parameters
-    if network == "attention" and not has_sets and not many:
-        raise ValueError(f"network='attention' does not fit {preset}, which observes no set of targets; use network='mlp'")
-    if network == "attention" and has_sets:
+    if network == "attention" and preset in PRESETS and "as_set" in inspect.signature(PRESETS[preset]).parameters:
         options = {"as_set": True} | options
+    if isinstance(changes.get("imitate"), str):
+        changes["imitate"] = enter_teacher(changes["imitate"])
     kind = MAPPOConfig if many else PPOConfig
     for name in changes:
         check_setting(name, kind)
@@ -125,36 +129,43 @@ def train(config: PPOConfig, out: Path | str, *, episodes: int = COMPARED, quiet
     Raises:
         ValueError: For an environment that the algorithm of the configuration does not train, or negative ``episodes``.
     """
-    _check_episodes(episodes)
-    return _completed(training_of(config, out), episodes, quiet, ("untrained",))
+    check_episodes(episodes)
+    return completed(training_of(config, out), episodes, quiet, ("untrained",))[0]
 
 
 def resume(out: Path | str, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
     """Resume the run in folder ``out``, which an interruption or the end of its budget has left; see :func:`train`."""
-    _check_episodes(episodes)
-    return _completed(training_of(read_config(out), out, resume=True), episodes, quiet)
+    check_episodes(episodes)
+    return completed(training_of(read_config(out), out, resume=True), episodes, quiet)[0]
 
 
-def _check_episodes(episodes: int) -> None:
+def check_episodes(episodes: int) -> None:
+    """Raise ValueError for a negative number of episodes."""
     if episodes < 0:
         raise ValueError(f"episodes={episodes} must be at least 0; 0 compares nothing")
 
 
-def _completed(run: Training, episodes: int, quiet: bool, before: Collection[str] = ()) -> TensorDictModuleBase:
-    """Train, compare the policy in as many unseen ``episodes``, under the name of ``before`` also as it is now, and tell."""
+def completed(
+    run: Training, episodes: int, quiet: bool, before: Collection[str] = (), kept: bool = True
+) -> tuple[TensorDictModuleBase, Comparison]:
+    """Train, compare the policy in as many unseen ``episodes``, under the name of ``before`` also as it is now, and tell.
+
+    ``kept`` says whether the folder of the run remains. Returns the policy of one satellite, and the comparison.
+    """
     if not episodes:
-        return run.run(bar=not quiet)
+        return run.run(bar=not quiet), Comparison()
     config = run.config
     env = make(config.preset, num_envs=episodes, **config.options)
+    teacher = {config.imitate: shared(baseline(config.imitate, env), env)} if config.imitate in OWN else {}
     results = {name: evaluate(shared(run.policy, env), env, seed=config.seed + FRESH) for name in before}
     policy = run.run(bar=not quiet)
-    comparison = compare({TRAINED: shared(policy, env)}, env, config.seed)
-    results = {name: comparison[name] for name in comparison if name != TRAINED} | results | {TRAINED: comparison[TRAINED]}
+    comparison = compare({TRAINED: shared(policy, env), **teacher}, env, config.seed)
+    results = Comparison({name: comparison[name] for name in comparison if name != TRAINED} | results | {TRAINED: comparison[TRAINED]})
     save_results(results, run.out / EVALUATION, TRAINED)
     if not quiet:
         print_results(results, f"{config.preset}, {episodes} unseen episodes", TRAINED)
-        sys.stdout.write(f"{told(run)}\n")
-    return policy
+        sys.stdout.write(f"{told(run)}\n" if kept else "")
+    return policy, results
 
 
 def told(run: Training) -> str:
@@ -165,6 +176,9 @@ def told(run: Training) -> str:
     """
     config, folder = run.config, shlex.quote(str(run.out))
     objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
+    own = re.fullmatch(r"(?!__main__:|own:)[^<>]+:[^<>]+", config.preset)
+    if own and not objects:
+        return f"results: {run.out}\nnext: bsk-torch report {folder} --preset {shlex.quote(config.preset)}"
     if config.preset not in LISTED or objects:
         return f"results: {run.out}\nnext: bsk_torch.rl.policies.load_policy({str(run.out)!r})"
     resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""

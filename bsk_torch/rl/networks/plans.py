@@ -259,11 +259,11 @@ class AttentionPlan:
             raise ValueError(
                 f"network='attention' chooses targets; the actions of {env.satellite.name} are real numbers: use 'mlp'"
             )
-        leaves = _leaves(env)
-        sets = [key[:-1] for key in leaves if key[-1] == "rows" and (*key[:-1], "mask") in leaves]
+        leaves, sets = _leaves(env), observed_sets(env)
         if len(sets) != 1:
             raise ValueError(
-                f"network='attention' needs one observation with as_set=True and the satellite's obs_type=dict; found {len(sets)}"
+                f"network='attention' needs one observation with as_set=True and the satellite's obs_type=dict; "
+                f"{env.satellite.name} has {len(sets)} such sets: use network='mlp' for vectors"
             )
         rows_key = (*sets[0], "rows")
         n_rows, n_features = leaves[rows_key][-2:]
@@ -320,6 +320,12 @@ def check_network(network: str) -> None:
     """Raise ValueError, with the nearest name, unless ``network`` is one of :data:`PLANS`."""
     if network not in PLANS:
         raise ValueError(f"network={network!r} must be one of {sorted(PLANS)}; {nearest(network, PLANS)}")
+
+
+def observed_sets(env: SatelliteTasking) -> list[tuple[str, ...]]:
+    """Return the keys of the sets that a satellite observes."""
+    leaves = _leaves(env)
+    return [key[:-1] for key in leaves if key[-1] == "rows" and (*key[:-1], "mask") in leaves]
 
 
 def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import torch
@@ -116,7 +117,7 @@ class SharedPolicy(TensorDictModuleBase):
         """Write ``out_keys``; the log-probability is 0 for satellites that continue."""
         if (self.group, "action_mask") not in tensordict.keys(include_nested=True):
             return self._write_real(tensordict)
-        situations = tensordict[self.group].select("observation", "action_mask")
+        situations = tensordict[self.group].select("observation", "action_mask", *self.policy.in_keys, strict=False)
         legal = situations["action_mask"]
         decides = ~legal[..., -1]
         action = torch.full(decides.shape, legal.shape[-1] - 1, device=legal.device)
@@ -162,12 +163,19 @@ def of_groups(policies: Mapping[str, TensorDictModuleBase]) -> TensorDictModuleB
     return next(iter(policies.values())) if len(policies) == 1 else GroupPolicies(policies)
 
 
-def as_policy(actor: Actor, env: Tasking) -> TensorDictModuleBase:
+def as_policy(actor: Actor | str | Path, env: Tasking) -> TensorDictModuleBase:
     """Return what chooses actions as a policy for all satellites of ``env``.
 
     A module of tensordicts is returned unchanged. In a constellation with one group, others act for each satellite; see
-    :func:`~bsk_torch.wrappers.policies.policy_of_one` for what they may be, and :func:`shared` for errors.
+    :func:`~bsk_torch.wrappers.policies.policy_of_one` for what they may be, and :func:`shared` for errors. Text is the name of a
+    rule, see :func:`rule`, or of a policy file or run folder.
     """
+    if isinstance(actor, str | Path):
+        if actor in RULES or not Path(actor).exists():
+            return rule(str(actor), env)
+        from bsk_torch.rl.policies.files import load_policy
+
+        return shared(load_policy(actor), env)
     return actor if isinstance(actor, TensorDictModuleBase) else shared(actor, env)
 
 

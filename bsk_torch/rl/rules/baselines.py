@@ -159,6 +159,9 @@ def science_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
     return scan_rule(env, seed, ScienceRule())
 
 
+THRESHOLDS: dict[str, ScanRule] = {"rule": ScanRule(), "cautious": CAUTIOUS, "science": ScienceRule()}
+"""Rules with thresholds by name; :func:`bsk_torch.tune` searches for better ones."""
+
 RANKINGS: dict[str, Callable[[SatelliteTasking], ImagingRule]] = {
     **{name: partial(ImagingRule.of, worth=worth) for name, worth in IMAGING_RULES.items()},
     "cooperative": CooperativeRule.in_cluster,

@@ -21,6 +21,7 @@ from torchrl.envs import Compose, InitTracker, TensorDictPrimer, Transform, Tran
 from torchrl.weight_update import SharedMemWeightSyncScheme, WeightSyncScheme
 
 from bsk_torch.env.base import Tasking
+from bsk_torch.presets import PRESETS
 from bsk_torch.rand import Key
 from bsk_torch.rl.networks.plans import CLOCKS, INIT, MEMORY
 from bsk_torch.rl.training.advantages import CUT
@@ -170,12 +171,18 @@ def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, object] | None
     return TransformedEnv(env, Compose(*transforms, Bookmark(saved)))  # type: ignore[call-overload]
 
 
-def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, object] | None) -> TransformedEnv:
-    """In its own process: ``count`` episodes from number ``first`` on, and random numbers for their actions."""
+def start_worker(
+    config: PPOConfig, first: int, count: int, saved: Mapping[str, object] | None, preset: Callable[..., object]
+) -> TransformedEnv:
+    """In its own process: ``count`` episodes from number ``first`` on, and random numbers for their actions.
+
+    ``preset`` makes the environment of the configuration, which this process may not have among its presets.
+    """
     if parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the learner, which ends its workers
     torch.set_num_threads(1)
     torch.manual_seed(config.seed + first)
+    PRESETS[config.preset] = preset
     return prepared(config.make_env(first, count), config, saved)
 
 
@@ -216,7 +223,9 @@ def make_collector(
     if config.collector == "single":
         return Collector(prepared(env, config, marks[0]), actor, track_traj_ids=False, **common, **each)
     share = config.num_envs // count
-    starts: list[Callable[[], TransformedEnv]] = [partial(start_worker, config, k * share, share, m) for k, m in enumerate(marks)]
+    starts: list[Callable[[], TransformedEnv]] = [
+        partial(start_worker, config, k * share, share, m, PRESETS[config.preset]) for k, m in enumerate(marks)
+    ]
     if config.collector == "multi":
         weights: dict[str, WeightSyncScheme] = {"policy": SharedWeights()}
         return MultiSyncCollector(starts, actor, cat_results="stack", weight_sync_schemes=weights, **common, **each)

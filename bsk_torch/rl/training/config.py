@@ -17,11 +17,12 @@ from omegaconf.errors import OmegaConfBaseException
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
 from bsk_torch.presets import make
+from bsk_torch.presets.own import enter_named
 from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
 from bsk_torch.rl.networks.plans import check_layers, check_network
 from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
 from bsk_torch.rl.policies.files import LOGS
-from bsk_torch.rl.training.imitation import check_teacher
+from bsk_torch.rl.training.imitation import check_teacher, enter_teacher
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.untrusted import read_bytes
 
@@ -128,7 +129,8 @@ class PPOConfig:
         gradient_norm: Gradients of the actor, and those of the critic, are scaled down to this norm.
         precision: Type in which networks compute in gradient steps: ``"float32"``, or ``"bfloat16"`` on devices that have it.
             Policies decide in float32.
-        imitate: Rule that the policy learns to imitate first, such as ``"hasty"``; None for none.
+        imitate: Rule that the policy learns to imitate first: a name, such as ``"hasty"``, a function or module of your own (see
+            :func:`~bsk_torch.wrappers.policies.policy_of_one`), or its name, ``"module:name"`` or ``"file.py:name"``; None for none.
         imitation: Part of the budget in which it does; 1 for a training without reinforcement learning and critic.
         imitation_temperature: The rule teaches probabilities proportional to exp(worth / (temperature * best)), with the largest
             worth of an image in the same decision; the worth of an image is about its discounted priority. For the imaging rules
@@ -198,6 +200,8 @@ class PPOConfig:
             _check_whole(name, getattr(self, name), least, MOST, optional=name in ("frames", "patience"))
         for name, interval in INTERVALS.items():
             _check_within(name, getattr(self, name), interval, optional=name == "seconds")
+        if callable(self.imitate):  # a rule of the user's; it has a name from here on
+            object.__setattr__(self, "imitate", enter_teacher(self.imitate))
         if self.imitate is not None:
             check_teacher(self.imitate, self.imitation_temperature)
         check_layers(self.hidden)
@@ -338,6 +342,10 @@ def override(config: Config, changes: Iterable[str]) -> Config:
             raise ValueError(f"{change!r} must read name=value, such as learning_rate=1e-3; {nearest(name, names)}")
         check_setting(name, type(config))
         _check_literal(setting, value)
+        if setting == "imitate":
+            enter_teacher(value)
+        elif setting == "preset" and ":" in value:
+            enter_named(value)
     settings = {change.partition("=")[0] for change in changes}
     if "frames" in settings and "seconds" not in settings:
         changes.append("seconds=null")

@@ -15,13 +15,18 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
+from bsk_torch.own_objects import import_object, name_of
 from bsk_torch.rl.rules.baselines import BASELINES, RANKINGS
 from bsk_torch.rl.rules.targets import Observation
 from bsk_torch.rl.training.loss import log_probabilities, log_probability
 from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.wrappers.policies import Actor, policy_of_one
 
 TEACHERS = tuple(name for name in BASELINES if name != "random")
-"""Rules that can be imitated."""
+"""Rules of the package that can be imitated."""
+
+OWN: dict[str, Actor] = {}
+"""Rules of the user's that have been entered in this process, by name."""
 
 CHUNK = 2048
 """Situations that the rule judges at once: some compare all pairs of targets."""
@@ -36,10 +41,40 @@ TAUGHT = "taught"
 """Key of the rule's actions, or of the probabilities that it is taken to give to all actions."""
 
 
+def enter_teacher(rule: Actor | str) -> str:
+    """Enter a rule of the user's among :data:`BASELINES` of this process, and return its name there.
+
+    Args:
+        rule: The name of a rule, which is returned unchanged unless it is ``module:name`` or ``file.py:name``, which are imported
+            here; or a rule itself, see :func:`~bsk_torch.wrappers.policies.policy_of_one`.
+
+    Raises:
+        ValueError: For a name that cannot be imported.
+        TypeError: For an object that is not a policy.
+    """
+    if isinstance(rule, str):
+        if ":" not in rule or rule in OWN:
+            return rule
+        name, entered = rule, import_object(rule, "imitate")
+    else:
+        base = f"{getattr(rule, '__module__', 'own')}:{name_of(rule)}"
+        names = (base, *(f"{base}_{k}" for k in range(2, len(OWN) + 3)))
+        name, entered = next(name for name in names if OWN.get(name, rule) is rule), rule
+    OWN[name] = entered
+    BASELINES[name] = lambda env, seed=0: policy_of_one(entered, env.satellite)
+    return name
+
+
 def check_teacher(name: str, temperature: float) -> None:
-    """Raise ValueError unless there is such a rule, to which actions have a worth if ``temperature`` > 0."""
-    if name not in TEACHERS:
-        raise ValueError(f"imitate={name!r} must be one of {list(TEACHERS)}; {nearest(str(name), TEACHERS)}")
+    """Raise ValueError unless there is such a rule, to which actions have a worth if ``temperature`` > 0.
+
+    Names of the user's rules are not looked up: configurations are read from files, which name no code to execute.
+    """
+    if name not in TEACHERS and ":" not in str(name):
+        raise ValueError(
+            f"imitate={name!r} must be one of {list(TEACHERS)}, or a function, module:name or file.py:name; "
+            f"{nearest(str(name), TEACHERS)}"
+        )
     if temperature and name not in RANKED:
         raise ValueError(
             f"imitation_temperature={temperature:g} needs a rule to which actions have a worth, one of {list(RANKED)}; "
@@ -64,6 +99,8 @@ def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> 
         raise ValueError(
             f"imitate={name!r}: rules are imitated in choices only; the actions of {env.satellite.name} are real numbers"
         )
+    if name not in BASELINES:
+        raise ValueError(f"imitate={name!r} is a function of yours, which files cannot call: give imitate={name!r} again")
     try:
         rule = BASELINES[name](env, 0)
     except (KeyError, ValueError) as error:
@@ -84,9 +121,18 @@ def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> 
 
 @torch.no_grad()
 def taught(teacher: TensorDictModuleBase, situations: TensorDictBase) -> Tensor:
-    """Return what a teacher writes, [...] or [..., A], in ``situations`` [...] with ``observation`` and ``action_mask``."""
+    """Return what a teacher writes, [...] or [..., A], in ``situations`` [...] with ``observation`` and ``action_mask``.
+
+    ValueError if it chooses an illegal action.
+    """
     inputs = situations.select("observation", "action_mask").reshape(-1)
     lesson = torch.cat([teacher(part)[teacher.out_keys[0]] for part in inputs.split(CHUNK)])
+    if not lesson.is_floating_point():
+        legal = inputs["action_mask"]
+        known = lesson.clamp(0, legal.shape[-1] - 1)
+        wrong = legal.any(-1) & ~(legal.gather(-1, known.unsqueeze(-1)).squeeze(-1) & (known == lesson))
+        if bool(wrong.any()):
+            raise ValueError(f"imitate: the rule chooses the illegal action {int(lesson[wrong][0])}; let it obey the action mask")
     return lesson.view(*situations.batch_size, *lesson.shape[1:])
 
 

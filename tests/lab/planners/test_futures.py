@@ -5,9 +5,10 @@ import torch
 
 import bsk_torch
 from bsk_torch import obs, scene
-from bsk_torch.lab.planners import Rollout, redraw_clouds
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rand import Key
+from bsk_torch.scene import overlaid
 from tests.lab.planners.conftest import same, scanning
 
 pytestmark = pytest.mark.compiled
@@ -78,21 +79,22 @@ def test_planning_in_drawn_futures(cloudy):
     cloudy.set_seed(4)
     now = cloudy.reset()
     before = cloudy.get_state()
-    planner = Rollout(cloudy, "hasty", horizon=120.0, budget=3, futures=2, redraw=redraw_clouds)
+    planner = Rollout(cloudy, "hasty", horizon=120.0, budget=3, futures=2)
     first, again = planner(now.clone()), planner(now.clone())
     assert torch.equal(first["action"], again["action"])
     assert same(cloudy.get_state(), before)
     assert first["simulated_seconds"].tolist() == pytest.approx([3 * 2 * 120.0] * 3)
 
 
-def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy):
+def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy, monkeypatch):
     cloudy.set_seed(0)
     cloudy.reset()
     n = 60
     store = cloudy.like(n)
     store.restore(cloudy, torch.arange(n), torch.zeros(n, dtype=torch.int64))
     zeros = torch.zeros(n, dtype=torch.int64)
-    redraw_clouds(store, torch.arange(n), Key(torch.arange(n), zeros, zeros), candidates=256)
+    monkeypatch.setattr(overlaid, "CANDIDATES", 256)
+    store.scenario.draw_again(torch.arange(n), Key(torch.arange(n), zeros, zeros), store.fleet.sim_time)
     forecast, sigma = cloudy.scenario.cloud_forecast[0], cloudy.scenario.cloud_forecast_sigma[0]
     cover = store.scenario.cloud_cover
     assert bool(((cover >= 0.0) & (cover <= 1.0)).all())
@@ -160,3 +162,26 @@ def test_without_faults_futures_change_no_decision():
     one, several = Rollout(env, "rule", **options)(now.clone()), Rollout(env, "rule", futures=2, **options)(now.clone())
     assert torch.equal(one["action"], several["action"])
     assert torch.equal(2.0 * one["simulated_seconds"], several["simulated_seconds"])
+
+
+def test_arrivals_are_planned_for_without_knowing_them():
+    """Episodes with the same past, of which the targets to come differ, are planned alike; few targets lengthen the look-ahead."""
+
+    class Orders(scene.ChangingTargets, scene.UniformTargets):
+        def draw(self, key):
+            return super().draw(key) | {"arrival": 60.0 + 200.0 * key.named("arrival").uniform(self.most_targets)}
+
+        def at(self, time):
+            return self.drawn("target_priority"), self.drawn("arrival") <= time.unsqueeze(-1)
+
+        def redraw(self, rows, key, time):
+            return {"arrival": 60.0 + 200.0 * key.named("arrival").uniform(self.most_targets)}
+
+    env = bsk_torch.make("AEOS-v1", num_envs=2, env_ids=[0] * 2, scenario=Orders(300), time_limit=400.0)
+    env.reseed([5, 5])
+    env.reset()
+    env.fleet.scenario_state["arrival"][1] += 37.0
+    env.scenario.begin_episodes(torch.tensor([1]))
+    store = planted(env, [0, 1], base="hasty")
+    assert torch.equal(store.scenario.drawn("arrival")[:2], store.scenario.drawn("arrival")[2:])
+    assert not torch.equal(store.scenario.drawn("arrival")[0], store.scenario.drawn("arrival")[1])

@@ -123,3 +123,29 @@ def test_a_value_network_leads_the_search():
     made = TreeSearch(env, "rule", horizon=1.0, budget=8, gamma=1.0, value=value)
     assert made.base(now.clone())["action"].tolist() == [0, 0]
     assert made(now)["action"].tolist() == [1, 1]  # each action once; charging turns the panel to the Sun
+
+
+@pytest.mark.parametrize("kind", [Rollout, BeamSearch])
+def test_a_price_is_added_where_a_branch_is_cut_and_nowhere_else(kind):
+    """An episode of 300 s has no state at its end to be judged; one of 1,500 s has, at the horizon, discounted to the decision."""
+    gamma, horizon = 0.999, 240.0
+    long, short = scanning(2, 1500.0), scanning(2, horizon)
+    one = lambda env: torch.ones(env.num_envs)
+    for env, expected in ((long, gamma**horizon), (short, 0.0)):
+        now = start_episodes(env, [0, 1])
+        with_price, without = (
+            kind(env, "rule", horizon=horizon, gamma=gamma, price=price)(now.clone())["action_value"] for price in (one, None)
+        )
+        assert torch.allclose(with_price - without, torch.full_like(without, expected), atol=1e-12, equal_nan=True)
+
+
+def test_a_price_by_name_is_that_of_the_state():
+    env = scanning(2, 1500.0)
+    now = start_episodes(env, [0, 1])
+    charge = lambda model: 0.5 * model.satellite.dynamics.battery_charge_fraction
+    named, function = (
+        Rollout(env, "rule", horizon=300.0, price=price)(now.clone())["action_value"]
+        for price in ({"battery_charge_fraction": 0.5}, charge)
+    )
+    assert torch.allclose(named, function, atol=1e-6)  # observations are float32
+    assert float((named[..., 1] - named[..., 0]).abs().max()) > 1e-4

@@ -22,7 +22,7 @@ from bsk_torch.lab.bounds import (
     relaxed_schedule,
     scanning_bound,
 )
-from bsk_torch.lab.planners import BeamSearch, CrossEntropy, Rollout, TreeSearch, planner, redraw_clouds
+from bsk_torch.lab.planners import BeamSearch, CrossEntropy, Rollout, TreeSearch, planner
 from bsk_torch.lab.risk.estimate import risk
 from bsk_torch.sim import fsw
 from tests.lab.bounds.test_bounds import envelope
@@ -55,7 +55,11 @@ def test_rejects_wrong_options_of_planners_and_audits(eager):
         refusal(lambda: Rollout(eager, futures=0), ValueError, "futures", "0"),
         refusal(lambda: Rollout(eager, rows=0), ValueError, "rows", "0"),
         refusal(lambda: Rollout(eager, value=3), ValueError, "value", "3", "module"),
-        refusal(lambda: Rollout(eager, redraw=redraw_clouds), ValueError, "redraw", "futures=1"),
+        refusal(lambda: Rollout(eager, price={"battery": 1.0}), ValueError, "price", "'battery'"),
+        refusal(lambda: Rollout(eager, price={"wheel_speeds_fraction": 1.0}), ValueError, "price", "'wheel_speeds_fraction'"),
+        refusal(lambda: Rollout(eager, price=3.0), ValueError, "price", "3.0", "function"),
+        refusal(lambda: Rollout(eager, price=torch.ones, horizon=float("inf")), ValueError, "price", "horizon"),
+        refusal(lambda: Rollout(eager, price=torch.ones, value=torch.ones), ValueError, "price", "value"),
         refusal(lambda: Rollout(eager, base="hastey"), ValueError, "base", "'hastey'", "'hasty'"),
         refusal(lambda: Rollout(eager, base="hasty"), ValueError, "base", "'hasty'", "environment"),
         refusal(lambda: Rollout("NadirScan-v1"), TypeError, "env", "'NadirScan-v1'", "environment"),
@@ -80,9 +84,8 @@ def test_rejects_environments_that_do_not_suit_the_planner(env):
 
     steered = bsk_torch.make("RSOInspection-v1", actions="thrust", num_envs=1, time_limit=600.0)
     endless = bsk_torch.SatelliteTasking(Thruster("T", {"dv_available_init": 10.0}), time_limit=600.0, backend="eager")
-    alone, other = scanning(1), scanning(1)
-    made, clouds = Rollout(env, "rule"), Rollout(alone, "rule", horizon=100.0, futures=1, redraw=redraw_clouds)
-    now = alone.reset()
+    other = scanning(1)
+    made = Rollout(env, "rule")
     check_refusals(
         refusal(lambda: CrossEntropy(env), ValueError, "'cem'", "Scanner1", "'rollout'"),
         *(
@@ -91,7 +94,6 @@ def test_rejects_environments_that_do_not_suit_the_planner(env):
         ),
         refusal(lambda: CrossEntropy(endless, "drift"), ValueError, "infinite bounds", "thrust_act"),
         refusal(lambda: made(other.reset()), ValueError, "3 episodes", "[1]"),
-        refusal(lambda: clouds(now), ValueError, "redraw_clouds", "scene.CloudyTargets", "UniformNadirScanning"),
     )
 
 

@@ -1,0 +1,243 @@
+"""Search over the thresholds of a rule, with many settings in one batch of episodes."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.quasirandom import SobolEngine
+
+from bsk_torch._checks import whole
+from bsk_torch.env import ConstellationTasking, Tasking
+from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
+from bsk_torch.rl.policies.shared_policy import member_view, member_views, shared
+from bsk_torch.rl.rules.baselines import THRESHOLDS, ScanRule
+from bsk_torch.sim.names import nearest
+from bsk_torch.wrappers.policies import FunctionPolicy, positional
+
+Range = tuple[float, float] | Sequence[float]
+"""A tuple of minimum and maximum, or a list of the values to try."""
+
+FIRST, SPAN = 2**40, 2**24
+"""First seed of the episodes of tunings, and the number of seeds of each."""
+
+MOST = 4096
+"""Episodes at once."""
+
+KEPT = 4
+"""Part of the settings that a round of successive halving keeps: one of so many."""
+
+THRESHOLD = "thresholds"
+"""Key of the thresholds of each row."""
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The result of :func:`tune`.
+
+    Attributes:
+        thresholds: The best thresholds, by name.
+        rule: The rule with these thresholds: a function of the observation, or a rule of the package.
+        evaluation: Results of this rule in episodes that the search has not seen.
+        settings: All settings [K] by name of the threshold; the first are the rule's defaults, if they lie within the ranges.
+        returns: Mean return of each setting in the episodes that it has flown, [K].
+        flown: Number of these episodes, [K].
+        episodes: Number of episodes of the search and the evaluation.
+        core_seconds: CPU time of both.
+    """
+
+    thresholds: dict[str, float]
+    rule: Callable[..., Tensor]
+    evaluation: Evaluation
+    settings: dict[str, Tensor]
+    returns: Tensor
+    flown: Tensor
+    episodes: int
+    core_seconds: float
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{name}={value:.4g}" for name, value in self.thresholds.items())
+        return (
+            f"{values}: return {self.evaluation.mean_return} in {len(self.evaluation.returns)} fresh episodes; tuned in "
+            f"{self.episodes:,} episodes, {len(self.returns)} settings, {self.core_seconds:.1f} core-seconds"
+        )
+
+
+class RowThresholds(FunctionPolicy):
+    """A rule whose thresholds differ between rows."""
+
+    def __init__(self, rule: Callable[..., Any], satellite: SatelliteGroup, names: Sequence[str]) -> None:
+        """Call ``rule`` for ``satellite`` with the thresholds ``names`` of the rows."""
+        super().__init__(partial(rule, **dict.fromkeys(names, 0.0)), satellite, len(positional(rule)) == 2)
+        self.function, self.names = rule, names
+        self.in_keys = [*self.in_keys, THRESHOLD]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action`` by the thresholds of each row."""
+        self.thresholds = {name: tensordict[THRESHOLD, name] for name in self.names}
+        return super().forward(tensordict)
+
+    def _result(self, inputs: Any, *mask: Tensor) -> object:
+        return self.function(inputs, *mask, **self.thresholds)
+
+
+def tune(
+    rule: str | ScanRule | Callable[..., Any],
+    env: Tasking,
+    ranges: Mapping[str, Range],
+    *,
+    settings: int = 64,
+    episodes: int = 16,
+    rounds: int = 3,
+    fresh: int = 256,
+    seed: int = 0,
+) -> Tuned:
+    """Search for the best thresholds of a rule, with all settings in one batch: each row of it has its own thresholds.
+
+    Successive halving (K. Jamieson and A. Talwalkar, "Non-stochastic best arm identification and hyperparameter optimization",
+    AISTATS 2016): each round flies the remaining settings in new episodes, the same for all of them, and keeps the best quarter,
+    which the next round flies in four times as many. With ``rounds=1``, all settings fly equally many episodes.
+
+    Args:
+        rule: A function of the observation, which may take the action mask second, with thresholds as keyword arguments, such as
+            ``def rule(observation, *, low=0.2)``; they are numbers, or tensors [N] here. It returns what
+            :func:`~bsk_torch.wrappers.policies.policy_of_one` describes. Or the name of a rule of the package with thresholds,
+            ``"rule"``, ``"cautious"`` or ``"science"``, or a :class:`~bsk_torch.rl.rules.baselines.ScanRule`.
+        env: An environment with one satellite, or with equal ones; episodes are flown in others like it.
+        ranges: For each threshold to tune, a tuple of its minimum and maximum, or a list of values. With lists only, all
+            combinations are tried; otherwise ``settings`` of them are drawn (a scrambled Sobol sequence).
+        settings: Number of settings K.
+        episodes: Episodes of each in the first round.
+        rounds: Number of rounds.
+        fresh: Episodes of the final evaluation, which the search has not seen.
+        seed: Seed of settings and episodes.
+
+    Raises:
+        TypeError: For an object that is not a rule or an environment.
+        ValueError: For a threshold that the rule does not have, with the nearest name, or a wrong range or number.
+    """
+    begin = time.process_time()
+    if not isinstance(env, Tasking):
+        raise TypeError(f"env={env!r:.80} must be an environment of bsk_torch")
+    for name, value, least in (("settings", settings, 1), ("episodes", episodes, 1), ("rounds", rounds, 1), ("fresh", fresh, 2)):
+        whole(name, value, least)
+    satellite = member_view(env).satellite
+    function, defaults = _tunable(rule, satellite)
+    table = _settings(ranges, defaults, settings, whole("seed", seed, 0))
+    first = FIRST + seed * SPAN
+    flights = _Flights(env, RowThresholds(function, satellite, list(table)), table, min(MOST, episodes * len(next(iter(table.values())))))
+    alive = torch.arange(flights.count)
+    total, flown = torch.zeros(flights.count, dtype=torch.float64), torch.zeros(flights.count, dtype=torch.int64)
+    for k in range(rounds):
+        number = episodes * KEPT**k
+        total[alive] += flights.returns(alive, range(first, first + number)).sum(1)
+        flown[alive] += number
+        first += number
+        ranked = alive[(total[alive] / flown[alive]).argsort(descending=True, stable=True)]
+        alive = ranked[: -(-len(ranked) // KEPT)] if k < rounds - 1 else ranked
+    best = {name: float(values[alive[0]]) for name, values in table.items()}
+    chosen = partial(function, **best)
+    judge = env.like(min(fresh, MOST), env_ids=[0] * min(fresh, MOST))
+    evaluation = evaluate(chosen, judge, seeds=range(first, first + fresh))
+    spent = int(flown.sum()) + fresh
+    return Tuned(best, chosen, evaluation, table, total / flown, flown, spent, time.process_time() - begin)
+
+
+class _Flights:
+    """Flies settings of a rule, each row with its own."""
+
+    def __init__(self, env: Tasking, policy: RowThresholds, table: Mapping[str, Tensor], rows: int) -> None:
+        """Fly ``rows`` episodes at once of the settings in ``table``, [K] by name."""
+        self.env, self.table = env.like(rows, env_ids=[0] * rows), table
+        self.count = len(next(iter(table.values())))
+        self.group = next(iter(member_views(env))) if isinstance(env, ConstellationTasking) else None
+        self.policy = shared(policy, self.env)
+        self.now: dict[str, Tensor] = {}
+
+    def returns(self, numbers: Tensor, seeds: range) -> Tensor:
+        """Return the returns of the settings ``numbers`` [k] in the episodes of E ``seeds``, [k, E]."""
+        rows = self.env.num_envs
+        setting, seed = numbers.repeat_interleave(len(seeds)), list(seeds) * len(numbers)
+        parts = []
+        for part in torch.arange(len(seed)).split(rows):
+            padded = torch.nn.functional.pad(setting[part], (0, rows - len(part)), value=int(setting[part[-1]]))
+            self.now = {name: values[padded].to(self.env.device) for name, values in self.table.items()}
+            parts.append(evaluate(self._act, self.env, seeds=[seed[k] for k in part.tolist()]).returns)
+        return torch.cat(parts).view(len(numbers), len(seeds)).cpu()
+
+    def _act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the actions by the thresholds of the rows."""
+        if self.group is None:
+            tensordict[THRESHOLD] = TensorDict(self.now, tensordict.batch_size)
+        else:
+            agents = tensordict[self.group]
+            of_rows = TensorDict(self.now, tensordict.batch_size)
+            agents[THRESHOLD] = of_rows.unsqueeze(-1).expand(agents.batch_size)
+        return self.policy(tensordict)
+
+
+def _tunable(rule: object, satellite: SatelliteGroup) -> tuple[Callable[..., Any], dict[str, float | None]]:
+    """Return a rule as a function with thresholds, and their defaults; None for one without a default."""
+    if isinstance(rule, str):
+        if rule not in THRESHOLDS:
+            advice = f"{nearest(rule, THRESHOLDS)}; or write a function of the observation with thresholds as keyword arguments"
+            raise ValueError(f"rule={rule!r} is not a rule with thresholds; {advice}")
+        rule = THRESHOLDS[rule]
+    if isinstance(rule, ScanRule):
+        return partial(_decided, rule, satellite), asdict(rule)
+    if isinstance(rule, type) or not callable(rule):
+        raise TypeError(f"rule={rule!r:.80} must be the name of a rule, or a function of the observation with thresholds")
+    kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    parameters = [p for p in inspect.signature(rule).parameters.values() if p.kind in kinds and p.name not in positional(rule)]
+    return rule, {p.name: None if p.default is p.empty else p.default for p in parameters}
+
+
+def _decided(rule: ScanRule, satellite: SatelliteGroup, observation: Tensor, **thresholds: Any) -> Tensor:
+    """Return the actions of a rule of the package with other thresholds, numbers or [N]."""
+    return replace(rule, **thresholds).decide(observation, satellite.observation_description, satellite.action_description)
+
+
+def _settings(ranges: Mapping[str, Range], defaults: Mapping[str, float | None], number: int, seed: int) -> dict[str, Tensor]:
+    """Return the settings to try, [K] by name, in numbers of float32, with which rules compare observations."""
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise TypeError(f"ranges={ranges!r:.80} must be a dictionary of at least one threshold, such as {{'low': (0.1, 0.5)}}")
+    for name, values in ranges.items():
+        if name not in defaults:
+            raise ValueError(f"ranges: the rule has no threshold {name!r}; {nearest(name, defaults)}")
+        numbers = torch.as_tensor(values, dtype=torch.float64)
+        if numbers.ndim != 1 or not len(numbers) or not bool(numbers.isfinite().all()):
+            raise ValueError(f"ranges[{name!r}]={values!r} must be a tuple (minimum, maximum) or a list of numbers")
+        if isinstance(values, tuple) and (len(values) != 2 or values[0] >= values[1]):
+            raise ValueError(f"ranges[{name!r}]={values!r} must be a tuple (minimum, maximum), or a list of the values to try")
+    if not any(isinstance(values, tuple) for values in ranges.values()):
+        columns = list(zip(*itertools.product(*ranges.values()), strict=True))
+        return {name: torch.tensor(column, dtype=torch.float32) for name, column in zip(ranges, columns, strict=True)}
+    lots = SobolEngine(len(ranges), scramble=True, seed=seed).draw(number, dtype=torch.float64)
+    table = {name: _spread(values, lots[:, k]) for k, (name, values) in enumerate(ranges.items())}
+    if all(_lies_in(defaults[name], values) for name, values in ranges.items()):
+        for name, column in table.items():
+            column[0] = defaults[name]
+    return table
+
+
+def _spread(values: Range, lots: Tensor) -> Tensor:
+    """Return values of a range for uniform numbers ``lots`` [K]."""
+    if isinstance(values, tuple):
+        return (values[0] + (values[1] - values[0]) * lots).float()
+    return torch.tensor(values, dtype=torch.float32)[(lots * len(values)).long().clamp(max=len(values) - 1)]
+
+
+def _lies_in(default: float | None, values: Range) -> bool:
+    """Return whether a default is one of the values of a range."""
+    if not isinstance(default, int | float):
+        return False
+    return values[0] <= default <= values[1] if isinstance(values, tuple) else default in values
