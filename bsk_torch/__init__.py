@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
     from bsk_torch.presets import make
+    from bsk_torch.rl.policies.loading import load_policy
     from bsk_torch.rl.policies.shared_policy import rule
     from bsk_torch.sim import dyn, faults, fsw
 
@@ -32,6 +33,7 @@ __all__ = [
     "faults",
     "formations",
     "fsw",
+    "load_policy",
     "make",
     "obs",
     "rand",
@@ -48,6 +50,7 @@ _HOMES = {
     "dyn": "bsk_torch.sim.dyn",
     "faults": "bsk_torch.sim.faults",
     "fsw": "bsk_torch.sim.fsw",
+    "load_policy": "bsk_torch.rl.policies.loading",
     "make": "bsk_torch.presets",
     "rule": "bsk_torch.rl.policies.shared_policy",
 }

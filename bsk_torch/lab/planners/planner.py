@@ -338,3 +338,9 @@ class Planner(TensorDictModuleBase):
         mean = q.view(len(base), self._copies, -1).mean(1)
         best, action = mean.max(1)
         return torch.where(best > mean.gather(1, base.unsqueeze(1)).squeeze(1), action, base)
+
+
+def check_no_planner(policy: object) -> None:
+    """Raise ValueError for a planner, where a policy is to act in copies of the environment."""
+    if isinstance(policy, Planner):
+        raise ValueError(f"policy={policy.name!r} plans in its own environment, and not in copies of it; give another policy")

@@ -166,6 +166,6 @@ def told(run: Training) -> str:
     config, folder = run.config, shlex.quote(str(run.out))
     objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
     if config.preset not in LISTED or objects:
-        return f"results: {run.out}\nnext: bsk_torch.rl.policies.load_policy({str(run.out)!r})"
+        return f"results: {run.out}\nnext: bsk_torch.load_policy({str(run.out)!r}, env)"
     resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""
     return f"results: {run.out}\nnext: {resumed}bsk-torch report {folder}"
