@@ -25,7 +25,7 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch import ConstellationTasking
-from bsk_torch.rl.policies.files import load_policy, read_card
+from bsk_torch.rl.policies.files import policy_of_file, read_card
 from bsk_torch.rl.policies.shared_policy import rule, shared
 from bsk_torch.tasks.aeos_bench import read_cases
 from bsk_torch.tasks.aeos_bench.bound import sight_bound
@@ -143,7 +143,7 @@ def main() -> None:
     for k, file in enumerate(options.policies):
         given = read_card(file)["options"]
         env = make_env(options, batch, **{key: given[key] for key in OF_TRAINING if key in given})
-        compare(f"trained, seed {k}", shared(load_policy(file), env), env)
+        compare(f"trained, seed {k}", shared(policy_of_file(file), env), env)
     compare("bound", None, every)
     print(harness.table(COLUMNS, rows))
 

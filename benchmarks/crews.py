@@ -23,7 +23,7 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch import ConstellationTasking
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
-from bsk_torch.rl.policies.files import load_policy, read_card
+from bsk_torch.rl.policies.files import policy_of_file, read_card
 from bsk_torch.rl.policies.shared_policy import rule, shared
 
 PRESETS = ("ThreeSensors-v1", "Walker4-v1")
@@ -61,7 +61,7 @@ def ruled(name: str, env: ConstellationTasking) -> Played:
 def trained(run: Path, options: argparse.Namespace) -> Played:
     """Return the policy of a run, in an environment with the options of its training."""
     env = make_env(options, **read_card(run)["options"])
-    return shared(load_policy(run), env), env
+    return shared(policy_of_file(run), env), env
 
 
 def row(name: str, played: dict[str, Evaluation], rules: list[str], cpu: float) -> dict[str, Any]:

@@ -23,7 +23,7 @@ import bsk_torch
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence, wilson
-from bsk_torch.rl.policies import load_policy
+from bsk_torch.rl.policies import policy_of_file
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import LOG, read_log
 
@@ -65,7 +65,7 @@ def players(names: list[str]) -> Iterator[tuple[str, str]]:
 
 def make_policy(name: str, env: ConstellationTasking) -> TensorDictModuleBase:
     """Return a rule, or a policy from a file, for an environment."""
-    return bsk_torch.rule(name, env) if name in RULES else shared(load_policy(name), env)
+    return bsk_torch.rule(name, env) if name in RULES else shared(policy_of_file(name), env)
 
 
 def training(name: str) -> dict[str, float]:

@@ -30,7 +30,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.marl.runs import read_config
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.tasks.safe_autonomy.rules import glide
 
@@ -78,7 +78,7 @@ def play(policy: str, name: str, options: argparse.Namespace) -> Evaluation:
     world = dict(num_envs=size, env_ids=[0] * size, assurance=assurance, backend=options.backend)
     env = bsk_torch.make(options.preset, **world, **limit)
     if Path(policy).is_dir():
-        actor: TensorDictModuleBase = load_policy(policy)
+        actor: TensorDictModuleBase = policy_of_file(policy)
     else:
         actor = rush(env) if policy == "rush" else bsk_torch.rule(policy, env)
     return evaluate(actor, env, seeds=range(options.seed, options.seed + options.episodes))

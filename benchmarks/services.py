@@ -23,7 +23,7 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch import SatelliteTasking
 from bsk_torch.rl.evaluation import Evaluation, evaluate
-from bsk_torch.rl.policies.files import load_policy, read_card
+from bsk_torch.rl.policies.files import policy_of_file, read_card
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.tasks.objects.rules import IDLE, ORDERS, WORTHS
 
@@ -102,7 +102,7 @@ def main() -> None:
     for run in options.policies:
         given = read_card(run)["options"]
         seen = {key: given[key] for key in OF_TRAINING if key in given}
-        compare(f"trained, {run.name}", load_policy(run), make_env(options, **seen))
+        compare(f"trained, {run.name}", policy_of_file(run), make_env(options, **seen))
     print(harness.table(COLUMNS, rows))
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from bsk_torch.presets import make
     from bsk_torch.rl.evaluation import compare, evaluate
     from bsk_torch.rl.marl.one_call import train
+    from bsk_torch.rl.policies.loading import load_policy
     from bsk_torch.rl.policies.shared_policy import rule
     from bsk_torch.rl.rules.readers import reader
     from bsk_torch.rl.tuning import tune
@@ -38,6 +39,7 @@ __all__ = [
     "faults",
     "formations",
     "fsw",
+    "load_policy",
     "make",
     "obs",
     "rand",
@@ -59,6 +61,7 @@ _HOMES = {
     "evaluate": "bsk_torch.rl.evaluation",
     "faults": "bsk_torch.sim.faults",
     "fsw": "bsk_torch.sim.fsw",
+    "load_policy": "bsk_torch.rl.policies.loading",
     "make": "bsk_torch.presets",
     "reader": "bsk_torch.rl.rules.readers",
     "rule": "bsk_torch.rl.policies.shared_policy",

@@ -32,7 +32,7 @@ from bsk_torch import comm
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation import FRESH, Evaluation, evaluate
 from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining, SharedPolicy
-from bsk_torch.rl.policies import load_policy
+from bsk_torch.rl.policies import policy_of_file
 
 SHARING: dict[str, comm.CommunicationMethod] = {
     "none": comm.NoCommunication(),
@@ -139,7 +139,7 @@ def main() -> None:
         "time_limit": options.time_limit,
     }
     trained = (
-        load_policy(options.policy)
+        policy_of_file(options.policy)
         if options.policy
         else train_alone(options, world, out)
     )

@@ -32,9 +32,13 @@ Preset = Annotated[
     str, typer.Argument(help="Environment; 'bsk-torch list' names them; or your own (module:name or file.py:name).", show_default=False)
 ]
 BASELINES = ", ".join(RULES)
-ANY = "Run folder, policy file, 'pretrained', your own function (package.module:function),"
+ANY = (
+    "Run folder, 'pretrained', policy file of any library (Stable-Baselines3, ONNX, torch.export, RLlib, BenchMARL, torch), your "
+    "own function (package.module:function),"
+)
 PLANNED = f"{ANY} a baseline ({BASELINES}), or a planner ({', '.join(f'plan:{name}' for name in PLANNERS)})."
 Policy = Annotated[str, typer.Argument(help=f"{ANY} or a baseline: {BASELINES}.", show_default=False)]
+Trust = Annotated[bool, typer.Option("--trust", help="Also read policy files that execute code, such as pickles.")]
 PolicyOrPlanner = Annotated[str, typer.Argument(help=PLANNED, show_default=False)]
 PoliciesOrPlanners = Annotated[list[str], typer.Argument(help=PLANNED, show_default=False)]
 OfPreset = Annotated[

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Options, Plan, PoliciesOrPlanners, Seeds, flag
+from bsk_torch.cli.declaration import (
+    EnvironmentOptions,
+    JsonFile,
+    OfPreset,
+    Options,
+    Plan,
+    PoliciesOrPlanners,
+    Seeds,
+    Trust,
+    flag,
+)
 from bsk_torch.cli.names import PREFIX
 from bsk_torch.cli.shared import check_writable, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, refusing, working
@@ -39,6 +49,7 @@ def evaluate_policy(
     baselines: Annotated[bool, typer.Option(help="Compare with all applicable baselines.")] = True,
     out: JsonFile = None,
     episodes_out: Annotated[Path | None, flag("FILE", "CSV file with a row for each episode.")] = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -69,20 +80,21 @@ def evaluate_policy(
         fail(f"--shield cannot stand before {planner!r}: the branches would not know of it")
     if len(set(policies)) < len(policies):
         fail(f"policies {' '.join(policies)}: name each once")
-    named = [named_actor(name, preset, plan if name.startswith(PREFIX) or len(policies) == 1 else None) for name in policies]
+    plans = {name: plan if name.startswith(PREFIX) or len(policies) == 1 else None for name in policies}
+    named = [named_actor(name, preset, own, trust) for name, own in plans.items()]
     of_presets = {one.name: one.preset for one in named}
     if len(set(of_presets.values())) > 1:
         fail(f"the policies are for different presets: {', '.join(f'{k}: {v}' for k, v in of_presets.items())}; give --preset")
     title, most = named[0].preset, MOST_TEAMS if is_constellation(named[0].preset) else MOST
     size = min(len(episodes), MOST_PLANNED if any(name.startswith(PREFIX) for name in policies) else most)
-    options, device = preset_options(option) | options, options["device"]
+    options = preset_options(option) | options
     actors: dict[str, tuple[TensorDictModuleBase, Tasking]] = {}
     for policy in named:
         env = policy.environment(size, options)
         label = policy.label if len(named) == 1 or policy.label != TRAINED else policy.name
         if guard is not None:
-            actors[f"{label} + {shield}"] = shared(guard(policy.build(env, device), env), env), env
-        actors[label] = policy.actor(env, device), env
+            actors[f"{label} + {shield}"] = shared(guard(policy.build(env), env), env), env
+        actors[label] = policy.actor(env), env
     chosen, (_, env) = next(iter(actors.items()))
     if baselines:
         actors |= {name: (rule, env) for name, rule in shared_baselines(env).items() if name not in policies}

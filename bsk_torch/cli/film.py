@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from bsk_torch.cli.declaration import EnvironmentOptions, OfPreset, Plan, PolicyOrPlanner, Seed, Until, flag
+from bsk_torch.cli.declaration import EnvironmentOptions, OfPreset, Plan, PolicyOrPlanner, Seed, Trust, Until, flag
 from bsk_torch.cli.shared import PICTURES, check_file, extra
 from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
@@ -40,6 +40,7 @@ def film(
     fps: Annotated[float, flag("N", "Frames per second.", min=0.1, max=50.0)] = 5.0,
     height: Annotated[int, flag("N", "Height of a frame in pixels; the width is 4/3 of it.")] = 480,
     plan: Plan = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -57,11 +58,11 @@ def film(
 
     check_file("--out", out, (*FILMS, *PICTURES))
     extra("bsk_torch.viz.render.frames")
-    named = named_actor(policy, preset, plan)
+    named = named_actor(policy, preset, plan, trust)
     env = named.environment(1, options | ({} if every is None else {"max_step_duration": every}))
     if every is not None and not isinstance(env, ConstellationTasking):
         fail(f"--every {every:g} is for constellations, which continue their tasks; {named.preset} would decide more often")
-    actor = named.actor(env, options["device"])
+    actor = named.actor(env)
     if out.suffix in PICTURES:
         with working("playing the episode"):
             pictures = extra("bsk_torch.viz.episodes")

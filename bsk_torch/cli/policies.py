@@ -1,18 +1,13 @@
-"""Policies that the command line names: folders and files of runs, pretrained policies, baselines, the user's functions."""
+"""Policies that the command line names, of any library; see :func:`bsk_torch.load_policy` for their kinds."""
 
 from __future__ import annotations
 
-import inspect
-import logging
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
-from torch import nn
 from typing_extensions import override
 
 from bsk_torch._listed import PLANNERS
@@ -21,20 +16,23 @@ from bsk_torch.cli.shared import environment, made
 from bsk_torch.cli.terminal import Failure, fail, refusing
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.results import TRAINED
-from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
+from bsk_torch.rl.policies.interface import Loaded
+from bsk_torch.rl.policies.loading import (
+    check_takes,
+    function_named,
+    is_function,
+    is_policy,
+    library_of,
+    read_policy,
+    rule_named,
+)
 from bsk_torch.rl.policies.pretrained import pretrained_file
-from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines
-from bsk_torch.sim.names import nearest
-from bsk_torch.wrappers.policies import Actor, Model
-
-logger = logging.getLogger(__name__)
+from bsk_torch.rl.policies.shared_policy import RULES, as_policy, shared
+from bsk_torch.wrappers.policies import Actor
 
 Enter = Callable[[str, Callable[..., Tasking]], Any]
 """Enters a policy: a function of the name of a preset and of a function that makes its environment. It is to return this
 environment and a policy; what a user's function returns may be anything."""
-
-OBSERVED = ("observation", "obs")
-"""Names of the first argument of functions that are policies themselves."""
 
 
 @dataclass
@@ -44,17 +42,24 @@ class NamedPolicy:
     Attributes:
         name: As given on the command line.
         preset: Name of the environment.
-        card: Contents of the policy's file; empty for what has none.
+        loaded: The policy, for an environment to come.
     """
 
     name: str
     preset: str
-    card: Mapping[str, Any] = field(default_factory=dict)
+    loaded: Loaded
+
+    @property
+    def card(self) -> Mapping[str, Any]:
+        """Contents of the policy's file; empty for what has none."""
+        return self.loaded.card
 
     @property
     def label(self) -> str:
         """Name in results."""
-        return self.name if self.name in (*RULES, PRETRAINED) else TRAINED
+        if self.name in (*RULES, PRETRAINED):
+            return self.name
+        return TRAINED if self.card else Path(self.name).name
 
     def options(self, changes: Mapping[str, object]) -> dict[str, object]:
         """Return the arguments of the environment: those with which the policy was trained, with ``changes``."""
@@ -70,21 +75,14 @@ class NamedPolicy:
         )
         return environment(self.preset, num_envs, self.options(options) | {"env_ids": [0] * num_envs}, why)
 
-    def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+    def build(self, env: Tasking) -> Actor:
         """Return the policy for one satellite of ``env``, or of each group; ends the program if it does not fit."""
-        if self.name in RULES:
-            try:
-                return baseline(self.name, env)
-            except (KeyError, ValueError) as error:
-                fitting = ", ".join(shared_baselines(env))
-                fail(f"the policy {self.name!r} does not fit {self.preset}: {error.args[0]}. Baselines that fit: {fitting}")
         with refusing():
-            check_fits(self.card, env, self.preset)
-            return build_policy(self.card, device)
+            return self.loaded.fit(env, self.preset)
 
-    def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+    def actor(self, env: Tasking) -> TensorDictModuleBase:
         """Return the policy for all agents of ``env``; ends the program if it does not fit."""
-        return shared(self.build(env, device), env)
+        return shared(self.build(env), env)
 
 
 @dataclass
@@ -119,7 +117,7 @@ class NamedFunction(NamedPolicy):
         return entered
 
     @override
-    def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+    def build(self, env: Tasking) -> TensorDictModuleBase:
         if self.entered is None or self.entered[0] is not env:
             self.entered = self._enter(lambda **views: env)
         with refusing(TypeError, ValueError, why=f"{self.name}: "):
@@ -128,64 +126,59 @@ class NamedFunction(NamedPolicy):
     actor = build  # which is for all agents
 
 
-def named_policy(name: str, preset: str | None) -> NamedPolicy:
+def named_policy(name: str, preset: str | None, trust: bool = False) -> NamedPolicy:
     """Return the policy of that name, for ``preset`` if that is given; ends the program if there is none."""
     check_policy(name, preset)
     plain, *texts = name.split(",")
     if plain.startswith(PREFIX):
         fail(f"{name!r} is a planner; this is for policies")
     if plain in RULES:
-        return NamedPolicy(plain, preset or FIRST)
-    if ":" in plain and not Path(name).exists():
-        return NamedFunction(name, preset or FIRST, enter=entrant_of_user(plain, texts))
-    with refusing(FileNotFoundError, ValueError):
-        card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
-    return NamedPolicy(name, preset or card["preset"], card)
+        return NamedPolicy(plain, preset or FIRST, rule_named(plain))
+    if is_function(name):
+        enter, library = entrant_of_user(plain, texts, trust)
+        loaded = Loaded(lambda env, where: enter(where, lambda **views: env)[1], library)
+        return NamedFunction(name, preset or FIRST, loaded, enter=enter)
+    with refusing(FileNotFoundError, ImportError, ValueError):
+        loaded = read_policy(pretrained_file(preset or FIRST) if name == PRETRAINED else name, trust)
+    return NamedPolicy(name, preset or loaded.card.get("preset", FIRST), loaded)
 
 
 def flown(
-    name: str, preset: str | None, num_envs: int, options: Mapping[str, object]
+    name: str, preset: str | None, num_envs: int, options: Mapping[str, object], trust: bool = False
 ) -> tuple[NamedPolicy, Tasking, TensorDictModuleBase]:
     """Return a policy, environments for it, and the policy for all of their agents; ends the program if that fails."""
-    named = named_policy(name, preset)
+    named = named_actor(name, preset, None, trust)
     env = named.environment(num_envs, options)
-    return named, env, named.actor(env, str(env.device))
+    return named, env, named.actor(env)
 
 
-def named_actor(name: str, preset: str | None, plan: Sequence[str] | None) -> NamedPolicy:
+def named_actor(name: str, preset: str | None, plan: Sequence[str] | None, trust: bool = False) -> NamedPolicy:
     """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
     if name.startswith(PREFIX):
-        check_policy(name, preset)
-        planner: NamedPolicy = resolved(name, PLANNERS[name.removeprefix(PREFIX)])(name, preset, plan or ())
+        plain, *texts = name.split(",")
+        check_policy(plain, preset)
+        planner: NamedPolicy = resolved(plain, PLANNERS[plain.removeprefix(PREFIX)])(
+            plain, preset, [*texts, *(plan or ())], trust
+        )
         return planner
     if plan:
         fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
-    return named_policy(name, preset)
+    return named_policy(name, preset, trust)
 
 
-# -- functions of the user's -----------------------------------------------------------------------------------------------------
-
-
-def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Enter:
-    """Return what enters the object ``package.module:name`` of the user's; ends the program if there is none.
+def entrant_of_user(name: str, texts: Sequence[str] = (), trust: bool = False) -> tuple[Enter, str]:
+    """Return what enters the object ``package.module:name`` of the user's, and its library; ends the program if there is none.
 
     A torch module, a model of Stable-Baselines3, and a function whose first argument is called ``observation`` or ``obs`` are
     policies. Any other function is called with the name of the preset, a function that makes its environment, and ``texts``, and
     returns this environment and a policy.
     """
-    named = imported(*name.split(":", 1))
-    if isinstance(named, nn.Module | Model) or first_argument(named) in OBSERVED:
-        return lambda preset, make: (make(), named)
-    check_takes(named, name, texts)
-    return lambda preset, make: named(preset, make, *texts)
-
-
-def first_argument(function: Callable[..., object]) -> str | None:
-    """Return the name of the first argument of a function; None if there is none, or no signature."""
-    try:
-        return next(iter(inspect.signature(function).parameters), None)
-    except ValueError:  # of a function that is not written in Python
-        return None
+    with refusing(ImportError, TypeError, ValueError):
+        named = function_named(name, trust)
+        if is_policy(named):
+            return (lambda preset, make: (make(), named)), library_of(named)
+        check_takes(named, name, texts)
+    return (lambda preset, make: named(preset, make, *texts)), library_of(named)
 
 
 def message_of(error: BaseException) -> str:
@@ -193,34 +186,3 @@ def message_of(error: BaseException) -> str:
     return (
         str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
     )
-
-
-def imported(module: str, function: str) -> Any:
-    """Return a function, module or model of the user's; ends the program if it cannot be imported."""
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
-    try:
-        named = getattr(loaded := import_module(module), function, None)
-    except Exception as error:  # a user's module may raise anything
-        logger.debug("%s cannot be imported", module, exc_info=error)
-        hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
-        fail(f"{module}:{function} cannot be imported: {message_of(error)}{hint}")
-    if named is None:
-        names = [name for name, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
-        fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, names)}")
-    if not callable(named) and not isinstance(named, Model):
-        fail(f"{module}:{function} is neither a policy nor a function of a preset's name and make")
-    return named
-
-
-def check_takes(function: Callable[..., object], title: str, texts: Sequence[str]) -> None:
-    """End the program for a function that cannot be called with the name of a preset, ``make`` and further ``texts``."""
-    try:
-        signature = inspect.signature(function)
-    except ValueError:  # of a function that is not written in Python
-        return
-    try:
-        signature.bind("preset", "make", *texts)
-    except TypeError as error:
-        further = f", and the {len(texts)} texts after its commas" if texts else ""
-        fail(f"{title} takes {signature}; it must take the name of a preset and make, (preset, make){further}: {error}")

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from bsk_torch._listed import LISTED
-from bsk_torch.cli.declaration import EnvironmentOptions, Plan, Seed, Until, flag
+from bsk_torch.cli.declaration import EnvironmentOptions, Plan, Seed, Trust, Until, flag
 from bsk_torch.cli.film import FILMS
 from bsk_torch.cli.film import film as write_film
 from bsk_torch.cli.names import PRETRAINED, is_preset
@@ -28,7 +28,7 @@ WithPolicy = Annotated[
     str | None,
     flag(
         "NAME",
-        "Policy of a preset: 'pretrained' (default), a baseline, a run folder, or a planner such as plan:rollout.",
+        "Policy of a preset: 'pretrained' (default), a baseline, a run folder, a file or function of any library, or a planner.",
         "--policy",
     ),
 ]
@@ -50,6 +50,7 @@ def view(
     port: Annotated[int, flag("N", "Port of the server, or the next free one.", min=1, max=65535)] = 8765,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     plan: Plan = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -67,7 +68,7 @@ def view(
     """
     if out is not None:
         check_file("--out", out, FILES)
-    source = _source(what, policy, seed, until, branch, plan, options)
+    source = _source(what, policy, seed, until, branch, plan, options, trust)
     if out is not None:
         _write(source, out)
         return
@@ -102,6 +103,7 @@ def export(
     until: Until = None,
     branch: Branches = None,
     plan: Plan = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -117,9 +119,9 @@ def export(
         if what.endswith(".bskview") or branch:
             fail(f"--out {str(out)!r}: films show a preset or a run without branches; recordings become {', '.join(FILES)}")
         name, preset = _named(what, policy)
-        write_film(name, preset, seed, out, until, plan=plan, options=options)
+        write_film(name, preset, seed, out, until, plan=plan, trust=trust, options=options)
         return
-    _write(_source(what, policy, seed, until, branch, plan, options), out)
+    _write(_source(what, policy, seed, until, branch, plan, options, trust), out)
 
 
 def _named(what: str, policy: str | None) -> tuple[str, str | None]:
@@ -139,6 +141,7 @@ def _source(
     branch: list[str] | None,
     plan: list[str] | None,
     options: dict[str, Any],
+    trust: bool,
 ) -> object:
     """The flights to show: a recording, or flights with other futures."""
     from bsk_torch.cli.policies import named_actor
@@ -151,9 +154,9 @@ def _source(
             return recordings.load(what)
     pairs = [_branch(text) for text in branch or ()]
     name, preset = _named(what, policy)
-    named = named_actor(name, preset, plan)
+    named = named_actor(name, preset, plan, trust)
     env = named.environment(1, options)
-    actor = named.actor(env, options["device"])
+    actor = named.actor(env)
     futures = extra("bsk_torch.viewer.futures", "viz").Futures(env, actor, preset=named.preset, label=named.label, until=until)
     with working("flying the episode"):
         futures.episode(seed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from math import isfinite
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import torch
@@ -14,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from bsk_torch.env.action_forms import form
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.wrappers.spaces import flat_rows, map_leaves
+from bsk_torch.wrappers.spaces import flat, flat_rows, map_leaves
 
 
 @runtime_checkable
@@ -33,12 +34,19 @@ Actor: TypeAlias = "TensorDictModuleBase | nn.Module | Model | Callable[..., Any
 WHOLE = ("tensordict", "td")
 """Names of the argument of functions that write actions into a tensordict, as :data:`bsk_torch.env.rollout.Policy` does."""
 
+MOST_SHOWN = 16
+"""Most numbers of an observation in a message."""
+
 WRITE = (
     "write, for example:\n"
     "    from tensordict.nn import TensorDictModule\n"
     '    policy = TensorDictModule(network, in_keys=["observation"], out_keys=["action"])'
 )
 """Advice for what is not a policy."""
+
+
+class DecisionError(ValueError):
+    """A policy of the user's returns no action."""
 
 
 def policy_of_one(actor: Actor, satellite: SatelliteGroup) -> TensorDictModuleBase:
@@ -106,10 +114,13 @@ class WholePolicy(TensorDictModuleBase):
 class FunctionPolicy(TensorDictModuleBase):
     """A torch module or function of the observation as a module of tensordicts."""
 
-    def __init__(self, function: Callable[..., Any], satellite: SatelliteGroup, with_mask: bool) -> None:
-        """Call ``function`` for ``satellite``, ``with_mask`` as its second argument or not."""
+    def __init__(
+        self, function: Callable[..., Any], satellite: SatelliteGroup, with_mask: bool, title: str | None = None
+    ) -> None:
+        """Call ``function``, in messages ``title``, for ``satellite``, ``with_mask`` as its second argument or not."""
         super().__init__()
-        self.function, self.title, self.is_real = function, described(function), form(satellite) is not None
+        self.function, self.title, self.is_real = function, title or described(function), form(satellite) is not None
+        self.observed = satellite.observation_description
         if with_mask and self.is_real:
             raise TypeError(f"{self.title} takes two arguments; real actions of {satellite.name} have no action mask")
         self.n_actions = int(form(satellite).width) if self.is_real else satellite.actions.n_actions  # type: ignore[union-attr]
@@ -136,6 +147,9 @@ class FunctionPolicy(TensorDictModuleBase):
             action = torch.as_tensor(result, device=device)
         except (TypeError, ValueError, RuntimeError) as error:
             raise TypeError(f"{self.title} returns {described(result)}; it must return a tensor of actions") from error
+        if action.is_floating_point() and action.shape[:1] == shape[:1] and bool(action.isnan().any()):
+            row = int(action.reshape(len(action), -1).isnan().any(-1).nonzero()[0])
+            raise DecisionError(f"{self.title} returns NaN for the observation {self._shown(tensordict['observation'], row)}")
         scores = (*shape, self.n_actions)
         if self.is_real and action.shape == scores:
             return action.to(torch.float32)
@@ -146,7 +160,16 @@ class FunctionPolicy(TensorDictModuleBase):
         allowed = (
             f"real numbers {list(scores)}" if self.is_real else f"numbers of actions {list(shape)}, or scores {list(scores)}"
         )
-        raise ValueError(f"{self.title} returns {action.dtype} {list(action.shape)}; it must return {allowed}")
+        raise DecisionError(f"{self.title} returns {action.dtype} {list(action.shape)}; it must return {allowed}")
+
+    def _shown(self, observation: Any, row: int) -> str:
+        """Return an observation with its names, those of numbers that are not finite first."""
+        parts = [observation] if isinstance(observation, Tensor) else flat(map_leaves(observation, lambda part: part)).values()
+        values = torch.cat([part[row].reshape(-1).double() for part in parts]).tolist()
+        names = self.observed if isinstance(observation, Tensor) else [""] * len(values)
+        pairs = sorted(zip(names, values, strict=False), key=lambda pair: isfinite(pair[1]))
+        listed = ", ".join(f"{name}={value:.4g}" if name else f"{value:.4g}" for name, value in pairs[:MOST_SHOWN])
+        return listed + ", ..." * (len(pairs) > MOST_SHOWN)
 
 
 class ModelPolicy(FunctionPolicy):
@@ -155,8 +178,8 @@ class ModelPolicy(FunctionPolicy):
     def __init__(self, model: Model, satellite: SatelliteGroup) -> None:
         """Let ``model`` predict the actions of ``satellite``."""
         masked = "action_masks" in inspect.signature(model.predict).parameters
-        super().__init__(model.predict, satellite, masked and form(satellite) is None)
-        self.title = f"the model {type(model).__name__}"
+        title = f"the model {type(model).__name__}"
+        super().__init__(model.predict, satellite, masked and form(satellite) is None, title)
 
     def _inputs(self, observation: Any) -> object:
         """Return the observation as :class:`~bsk_torch.wrappers.stable_baselines3.SB3VecEnv` does."""

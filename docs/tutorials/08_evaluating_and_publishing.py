@@ -132,11 +132,11 @@ bsk_torch_command("report", str(folder), "--episodes", SHOWN)
 # ------------------
 #
 # ``policy.pt`` in the run folder is self-contained: it contains the weights, the network architecture, and the training
-# environment. ``load_policy`` reads it on any machine, ``read_card`` returns its metadata, and ``check_fits`` raises an error for
-# an environment with other observations or actions.
+# environment. ``policy_of_file`` reads it on any machine, ``read_card`` returns its metadata, and ``check_fits`` raises an error
+# for an environment with other observations or actions. ``bsk_torch.load_policy(file, env)`` does all three.
 import shutil
 
-from bsk_torch.rl.policies import check_fits, load_policy, read_card
+from bsk_torch.rl.policies import check_fits, policy_of_file, read_card
 
 file = shutil.copy(folder / "policy.pt", folder.parent / "elsewhere.pt")
 card = read_card(file)
@@ -149,7 +149,7 @@ print(
 
 env = bsk_torch.make(card["preset"], num_envs=4, **card["options"])
 check_fits(card, env, card["preset"])
-loaded = load_policy(file)
+loaded = policy_of_file(file)
 td = env.reset()
 print(
     "the same actions:",
@@ -162,7 +162,7 @@ damaged = bytearray(Path(file).read_bytes())
 damaged[len(damaged) // 2] ^= 1
 Path(file).write_bytes(damaged)
 try:
-    load_policy(file)
+    policy_of_file(file)
 except ValueError as error:
     print(str(error).replace(str(folder.parent), "..."))
 

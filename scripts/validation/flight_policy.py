@@ -18,7 +18,7 @@ from bsk_torch.lab.basilisk.certificate import as_sets
 from bsk_torch.lab.basilisk.flight import FLOWN, Pilot
 from bsk_torch.lab.planners.named import PREFIX, named_planner
 from bsk_torch.presets import make
-from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
+from bsk_torch.rl.policies.files import check_fits, policy_of_file, read_card
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 
@@ -75,7 +75,7 @@ class Flyer:
             return random_action
         if self.policy in BASELINES:
             return policy_pilot(BASELINES[self.policy](self.environment(1, backend="eager"), 0))
-        return policy_pilot(load_policy(self.policy), observed if self.options.get("as_set") else ())
+        return policy_pilot(policy_of_file(self.policy), observed if self.options.get("as_set") else ())
 
 
 def recruit(policy: str, preset: str | None, plan: Sequence[str] = ()) -> Flyer:

@@ -34,7 +34,7 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.basilisk.flight import Array, Flight, Pilot, absent_data, lacking, plain
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 from bsk_torch.rl.policies.pretrained import pretrained
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, baseline
 from bsk_torch.sim.dyn.hub import initial_orbit
@@ -61,7 +61,7 @@ def environment(num_envs: int, backend: str, **options: Any) -> ConstellationTas
 def pilot_of(policy: str) -> Pilot:
     """Return the pilot of inspectors by a policy's file, the package's one, or the rule; ValueError for what is none of these."""
     env = environment(1, "eager")
-    found = baseline(RULE, env) if policy == RULE else pretrained(PRESET) if policy == PRETRAINED else load_policy(policy)
+    found = baseline(RULE, env) if policy == RULE else pretrained(PRESET) if policy == PRETRAINED else policy_of_file(policy)
     if not isinstance(found, GroupPolicies):
         raise ValueError(f"{policy!r} has no policy for each group of satellites; it is not one of {PRESET}")
     return policy_pilot(found.policies[inspectors(env).name])

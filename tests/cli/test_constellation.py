@@ -7,7 +7,7 @@ import pytest
 import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl import MAPPOConfig, read_config
-from bsk_torch.rl.policies import load_policy, read_card
+from bsk_torch.rl.policies import policy_of_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import read_log
 from tests.support.blocks import ROOT
@@ -45,7 +45,7 @@ def test_training_compares_with_the_rules_and_draws(trained):
     config = read_config(trained)
     assert isinstance(config, MAPPOConfig)
     assert (config.algorithm, config.options["as_set"], config.options["n_satellites"]) == ("ippo", True, 3)
-    assert load_policy(trained).in_keys
+    assert policy_of_file(trained).in_keys
 
 
 def test_policies_are_evaluated_and_shielded(run, trained, tmp_path, monkeypatch):
@@ -89,7 +89,7 @@ def test_what_was_learned_by_few_is_published_for_all(trained, tmp_path):
     assert noted["command"].startswith("bsk-torch train Constellation-v1 --algorithm ippo")
     assert "options.n_satellites=3" in noted["command"]
     assert (noted["score"]["episodes"], noted["score"]["seed"]) == (4, 1_000_003)
-    result = evaluate(shared(load_policy(tmp_path / "Constellation-v1.pt"), env), env, seed=1_000_003)
+    result = evaluate(shared(policy_of_file(tmp_path / "Constellation-v1.pt"), env), env, seed=1_000_003)
     assert result.returns.tolist() == pytest.approx(noted["first"])
     assert sum(noted["first"]) / 4 == pytest.approx(noted["score"]["return"])
 

@@ -9,7 +9,7 @@ import bsk_torch
 from bsk_torch.rl.networks.attention import LEAST
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, FeatureNormaliser, symlog
 from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan
-from bsk_torch.rl.policies import build_policy, check_fits, load_policy, pretrained_file, read_card, save_policy
+from bsk_torch.rl.policies import build_policy, check_fits, policy_of_file, pretrained_file, read_card, save_policy
 
 N, K, F, D = 6, 5, 4, 3
 OTHERS = 2
@@ -165,7 +165,7 @@ def test_a_kept_policy_acts_the_same(tmp_path):
     }, [40])  # fmt: skip
     networks.normaliser.update(situation)
     save_policy(tmp_path / "policy.pt", plan, networks, "AEOS-v1", {})
-    kept = load_policy(tmp_path / "policy.pt")
+    kept = policy_of_file(tmp_path / "policy.pt")
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         mine, same = networks.policy(situation.clone()), kept(situation.clone())
     assert torch.equal(mine["logits"], same["logits"])

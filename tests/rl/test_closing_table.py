@@ -70,4 +70,4 @@ def test_an_interrupted_training_says_how_to_resume(tmp_path):
 def test_policies_that_only_a_program_can_build_are_loaded_there(tmp_path, capsys):
     out = tmp_path / "run"
     train(settings(options=OPTIONS | {"rewarder": ScanningTimeReward()}), out, episodes=2)
-    assert capsys.readouterr().out.endswith(f"next: bsk_torch.rl.policies.load_policy({str(out)!r})\n")
+    assert capsys.readouterr().out.endswith(f"next: bsk_torch.load_policy({str(out)!r}, env)\n")

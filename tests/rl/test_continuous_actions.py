@@ -10,7 +10,7 @@ from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, pr
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import AttentionPlan, GRUPlan, MLPPlan
-from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
+from bsk_torch.rl.policies.files import check_fits, policy_of_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.rules.continuous import bounds_of, spread
 from bsk_torch.rl.rules.shield import SafeRule, shield
@@ -117,7 +117,7 @@ class TestPPO:
         random, learned = (evaluate(player, env, seed=11).mean_return.mean for player in (baselines["random"], policy))
         assert random < -6.0  # ten steps, each about one away
         assert learned > -2.0
-        loaded = load_policy(tmp_path / "run")
+        loaded = policy_of_file(tmp_path / "run")
         assert evaluate(loaded, env, seed=11).mean_return.mean == learned
         card = read_card(tmp_path / "run")
         assert card["plan"]["bounds"] == ((-1.0, 1.0),) * 3 or card["plan"]["bounds"] == [[-1.0, 1.0]] * 3
@@ -131,7 +131,7 @@ class TestPPO:
 
     def test_a_run_goes_on(self, tmp_path):
         train(settings(frames=1024), tmp_path / "run", episodes=0)
-        before = load_policy(tmp_path / "run")
+        before = policy_of_file(tmp_path / "run")
         config = (tmp_path / "run" / "config.yaml").read_text()
         (tmp_path / "run" / "config.yaml").write_text(config.replace("frames: 1024", "frames: 2048"))
         after = resume(tmp_path / "run", episodes=0)
@@ -163,7 +163,7 @@ class TestMAPPO:
         )
         assert math.isfinite(learned)
         assert learned > random + 2.0
-        loaded = shared(load_policy(tmp_path / "run"), env)
+        loaded = shared(policy_of_file(tmp_path / "run"), env)
         assert evaluate(loaded, env, seed=5).mean_return.mean == learned
 
     def test_busy_satellites_go_on(self):

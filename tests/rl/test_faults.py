@@ -14,7 +14,7 @@ import pytest
 from torch._inductor import config
 
 from bsk_torch.codegen import build
-from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.policies.files import POLICY, policy_of_file
 from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.config import CONFIG
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, read_log
@@ -38,7 +38,7 @@ SAME = {
 def same(one, other):
     """Whether two runs have left the same policy and logs, and nothing else besides."""
     assert {path.name for path in one.iterdir()} == {path.name for path in other.iterdir()}
-    assert weights(load_policy(one)).equal(weights(load_policy(other)))
+    assert weights(policy_of_file(one)).equal(weights(policy_of_file(other)))
     for name, columns in SAME.items():
         first, second = read_log(one / name), read_log(other / name)
         assert [str(first.get(column)) for column in columns] == [str(second.get(column)) for column in columns]

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModule
 import bsk_torch
 from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.marl.networks import ConstellationCritic
-from bsk_torch.rl.policies import check_fits, load_policy, read_card
+from bsk_torch.rl.policies import check_fits, policy_of_file, read_card
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, for_each_group, member_views, shared
 from bsk_torch.rl.rules.baselines import RandomPolicy
 from bsk_torch.rl.training.collect import make_collector
@@ -96,7 +96,7 @@ def test_the_file_of_several_groups_holds_each_of_them(trained):
     assert [part["network"] for part in card["groups"].values()] == ["attention", "mlp"]
     check_fits(card, training.env)
     start = training.env.reset()
-    again = shared(load_policy(out), training.env)
+    again = shared(policy_of_file(out), training.env)
     with torch.no_grad():
         first, second = (player(start.clone()) for player in (policy, again))
     for group in (IMAGER, RELAY):

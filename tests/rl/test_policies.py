@@ -9,7 +9,7 @@ import torch
 import bsk_torch
 from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.checksummed import CHECKSUM_MARK, save_checksummed
-from bsk_torch.rl.policies.files import check_fits, load_policy, read_card, save_policy
+from bsk_torch.rl.policies.files import check_fits, policy_of_file, read_card, save_policy
 from bsk_torch.rl.policies.pretrained import FOLDER
 from tests.support.refusals import check_refusals, refusal
 
@@ -47,7 +47,7 @@ def test_rejects_flipped_bits(path):
         changed = bytearray(content)
         changed[place // 8] ^= 1 << place % 8
         path.write_bytes(changed)
-        load_policy(path)
+        policy_of_file(path)
 
     content, draw = path.read_bytes(), random.Random(1)
     places = [draw.randrange(8 * len(content)) for _ in range(200)]
@@ -62,21 +62,21 @@ def test_a_policy_of_release_0_1_loads_with_a_warning(path, caplog):
 
 
 def weights_of(path):
-    return torch.cat([value.double().flatten() for value in load_policy(path).state_dict().values()])
+    return torch.cat([value.double().flatten() for value in policy_of_file(path).state_dict().values()])
 
 
 def test_rejects_files_of_others(path, tmp_path):
     def holding(content):
         path.write_bytes(content)
-        load_policy(path)
+        policy_of_file(path)
 
     def without_checksum(entries):
         torch.save(entries, path)
-        load_policy(path)
+        policy_of_file(path)
 
     def saved(**entries):
         save_checksummed(path, card | entries)
-        load_policy(path)
+        policy_of_file(path)
 
     def weight(value):
         saved(actor=card["actor"] | {next(iter(card["actor"])): value})
@@ -88,7 +88,7 @@ def test_rejects_files_of_others(path, tmp_path):
     other = bsk_torch.make("AEOSPower-v1", num_envs=1, backend="eager", time_limit=300.0)
     check_refusals(
         refusal(lambda: check_fits(card, other, "AEOSPower-v1"), ValueError, "NadirScan-v1", "n_observed=12", "AEOSPower-v1"),
-        refusal(lambda: load_policy(tmp_path / "nowhere"), FileNotFoundError, "nowhere", "policy.pt"),
+        refusal(lambda: policy_of_file(tmp_path / "nowhere"), FileNotFoundError, "nowhere", "policy.pt"),
         refusal(lambda: holding(b"no policy"), ValueError, "policy.pt", "file of a policy"),
         refusal(lambda: holding(b""), ValueError, "policy.pt", "file of a policy"),
         refusal(lambda: without_checksum({"weights": torch.zeros(2)}), ValueError, "policy.pt", version),

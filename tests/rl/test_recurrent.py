@@ -9,7 +9,7 @@ from torchrl.modules import set_recurrent_mode
 import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.networks.plans import INIT, MEMORY, GRUPlan
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 from bsk_torch.rl.training.collect import make_collector
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.trainer import Training
@@ -66,7 +66,7 @@ def test_experience_is_judged_as_it_was_made(tmp_path):
 
 def test_a_recurrent_policy_learns_loads_and_flies(tmp_path):
     trained = Training(TINY, tmp_path).run()
-    kept = load_policy(tmp_path / "policy.pt")
+    kept = policy_of_file(tmp_path / "policy.pt")
     env = bsk_torch.make("NadirScan-v1", num_envs=3, seed=0, time_limit=900.0)
     assert evaluate(kept, env, seed=1).returns.equal(evaluate(trained, env, seed=1).returns)
     env.set_seed(1)

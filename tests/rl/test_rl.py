@@ -9,7 +9,7 @@ import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.runs import configure
 from bsk_torch.rl.networks.normaliser import OWN
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 from bsk_torch.rl.rules.baselines import ScanRule, random_policy
 from bsk_torch.rl.training import train
 from bsk_torch.rl.training.advantages import write_advantages
@@ -136,7 +136,7 @@ def test_a_short_training_beats_random_choice_of_targets(tmp_path, network):
     )  # fmt: skip
     train(config, tmp_path, episodes=0)
     env = bsk_torch.make("AEOS-v1", num_envs=64, seed=0, **config.options)
-    trained = evaluate(load_policy(tmp_path / "policy.pt"), env, seed=7)
+    trained = evaluate(policy_of_file(tmp_path / "policy.pt"), env, seed=7)
     random = evaluate(random_policy(env, 0), env, seed=7)
     gain = trained.gain_over(random)
     assert gain.mean > 3.0 * gain.half_width

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
-from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.policies.files import POLICY, policy_of_file
 from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.lock import LOCK, FolderInUseError, FolderLock
@@ -86,7 +86,7 @@ def test_rejects_other_settings_at_a_resume_which_change_nothing(half, monkeypat
 def test_after_a_failed_resume_the_run_goes_on_as_if_nothing_had_happened(half, whole):
     with pytest.raises(ValueError, match="cannot be resumed as"):
         Training(dataclasses.replace(SMALL, options={"time_limit": 900.0}), half, resume=True)
-    assert weights(Training(SMALL, half, resume=True).run()).equal(weights(load_policy(whole)))
+    assert weights(Training(SMALL, half, resume=True).run()).equal(weights(policy_of_file(whole)))
 
 
 DAMAGES = [lambda data: data[: len(data) // 2 + 3], lambda data: b"no such file", lambda data: b""]
@@ -149,7 +149,7 @@ def test_rejects_moments_of_another_shape(whole, tmp_path):
 def test_a_run_without_a_checkpoint_begins_again(whole, tmp_path):
     for name in (CONFIG, LOG, EVALUATIONS, POLICY):  # what a run leaves that was killed before its first checkpoint
         (tmp_path / name).write_bytes((whole / name).read_bytes())
-    assert weights(resume(tmp_path, episodes=0)).equal(weights(load_policy(whole)))
+    assert weights(resume(tmp_path, episodes=0)).equal(weights(policy_of_file(whole)))
     assert read_log(tmp_path / LOG)["frames"] == [24, 48, 72]
 
 
@@ -163,7 +163,7 @@ def test_a_training_that_diverges_says_so(tmp_path):
             return super()._learn(batch)
 
     check_refusals(refusal(lambda: Diverging(SMALL, tmp_path / "run").run(), (RuntimeError, ValueError), "diverged"))
-    assert weights(load_policy(tmp_path / "run")).isfinite().all()
+    assert weights(policy_of_file(tmp_path / "run")).isfinite().all()
     assert load_checksummed(tmp_path / "run" / CHECKPOINT, "checkpoint")["progress"][0] == 24
 
 
@@ -319,5 +319,5 @@ def test_a_logger_that_fails_stops_nothing(whole, tmp_path, monkeypatch, caplog)
     monkeypatch.setattr("bsk_torch.rl.training.log._service", lambda name, out: Failing())
     monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: object())
     policy = train(dataclasses.replace(SMALL, loggers=("csv", "wandb")), tmp_path / "run", episodes=0)
-    assert weights(policy).equal(weights(load_policy(whole)))
+    assert weights(policy).equal(weights(policy_of_file(whole)))
     assert caplog.text.count("the logger wandb fails") == 1

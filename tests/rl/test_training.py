@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.policies.files import POLICY, policy_of_file
 from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.collect import make_collector, prepared, start_worker
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
@@ -63,7 +63,7 @@ def test_a_run_leaves_all_its_files_and_the_best_policy(run):
     assert judged["frames"] == [48, 96]
     assert all(0.0 <= level <= 1.0 for level in judged["fill"])
     out, policy = run
-    kept = load_policy(out / POLICY)
+    kept = policy_of_file(out / POLICY)
     assert weights(kept).equal(weights(policy))
     env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, **SHORT)
     now = env.reset()
@@ -94,7 +94,7 @@ def test_a_resumed_run_is_the_uninterrupted_one(run, tmp_path):
     broken.run()
     assert broken.interrupted
     assert read_log(tmp_path / "broken" / LOG)["frames"] == [24, 48]
-    load_policy(tmp_path / "broken" / POLICY)  # whoever stops has a policy, too
+    policy_of_file(tmp_path / "broken" / POLICY)  # whoever stops has a policy, too
     again = resume(tmp_path / "broken", episodes=0)
     assert same_logs(out, tmp_path / "broken")
     assert same_logs(out, tmp_path / "broken", ("frames", "return", "survival", "fill"), EVALUATIONS)

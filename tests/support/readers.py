@@ -29,7 +29,7 @@ from bsk_torch.lab.risk.rare_flights import KIND, read_paths
 from bsk_torch.recording.recording import MAGIC, decode
 from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
@@ -194,7 +194,7 @@ def readers() -> dict[str, Reader]:
     cases = [json_bytes(part) for part in (aeos_cases.constellation(2), aeos_cases.tasks(3))]
     assignments = lambda folder: read_assignments(folder, CASE)
     return {
-        "policy": Reader("policy.pt", pretrained_file("NadirScan-v1").read_bytes(), load_policy, of_checksummed),
+        "policy": Reader("policy.pt", pretrained_file("NadirScan-v1").read_bytes(), policy_of_file, of_checksummed),
         "checkpoint": Reader(
             "checkpoint.pt",
             written(checkpoint, "checkpoint.pt"),

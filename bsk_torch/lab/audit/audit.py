@@ -21,6 +21,7 @@ from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
+from bsk_torch.lab.planners.planner import check_no_planner
 from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues
 from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
@@ -201,6 +202,7 @@ def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options:
         raise ValueError(
             "futures=1: an audit chooses by one half of the futures and values by the other; give 2 or more, or None"
         )
+    check_no_planner(policy)
     judge = ActionValues(env, policy, **options)
     n, parts, returns = env.num_envs, [], []
     for first in range(0, len(seeds), n):

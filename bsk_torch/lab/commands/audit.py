@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, OfPreset, Options, Policy, Seeds, flag
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, OfPreset, Options, Policy, Seeds, Trust, flag
 from bsk_torch.cli.shared import check_writable, drawing, preset_options, seed_range
 from bsk_torch.cli.terminal import echo, refusing, working
 from bsk_torch.files import write_file
@@ -31,6 +31,7 @@ def audit_policy(
     num_envs: AtOnce = 16,
     draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the regrets.")] = None,
     out: Annotated[Path | None, flag("FILE", "JSON file for all decisions.")] = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -49,7 +50,7 @@ def audit_policy(
     episodes = seed_range(seeds)
     figure = drawing(draw, "bsk_torch.lab.audit.figure")
     check_writable(out)
-    named, env, actor = flown(policy, preset, min(len(episodes), num_envs), preset_options(option) | options)
+    named, env, actor = flown(policy, preset, min(len(episodes), num_envs), preset_options(option) | options, trust)
     with refusing(), working(f"valuing all actions of {named.label}"):
         result = audit(env, actor, seeds=episodes, horizon=horizon, gamma=gamma, futures=futures, budget=budget)
     title = f"{named.preset}, {named.label}, {len(episodes)} episodes, seeds {seeds}"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bsk_torch.cli.declaration import MachineOptions, flag
+from bsk_torch.cli.declaration import MachineOptions, Trust, flag
 from bsk_torch.cli.shared import check_writable
 from bsk_torch.cli.terminal import Failure, fail, print_message, refusing, working
 from bsk_torch.files import write_file
@@ -53,9 +53,9 @@ def bench(
     policies: Annotated[
         list[str],
         typer.Argument(
-            help="'pretrained'; a baseline, also with a view of the presets such as survey,actions=waypoints; a policy file or "
-            "its folder; a planner with its options such as plan:rollout,base=hasty,horizon=240; or your own function as "
-            "package.module:function, with strings for it after commas.",
+            help="'pretrained'; a baseline, also with a view of the presets such as survey,actions=waypoints; a policy file of "
+            "any library, or a run folder; a planner with its options such as plan:rollout,base=hasty,horizon=240; or your own "
+            "function as package.module:function, with strings for it after commas.",
             show_default=False,
         ),
     ],
@@ -70,6 +70,7 @@ def bench(
     ] = None,
     out: Annotated[Path | None, flag("FILE", "JSON file for results and returns of all episodes.")] = None,
     certify: Annotated[int, flag("N", "Repeat the first N episodes of each task on Basilisk, if it is installed.", min=0)] = 0,
+    trust: Trust = False,
     *,
     options: MachineOptions,
 ) -> None:
@@ -105,7 +106,7 @@ def bench(
         fail(f"--episodes {episodes} must be at most {most}, the number of episodes of each task")
     counts = {task.title: min(episodes or most, task.episodes) for task in tasks}
     certifiers = certifiers_of(tasks, certify, min(counts.values()))
-    entrants = {name: entrant_of(name, tasks) for name in policies}
+    entrants = {name: entrant_of(name, tasks, trust) for name in policies}
     results = read_earlier(earlier or [], suite, PlayedResults)
     for name, rows in results.items():
         for task in tasks:
@@ -126,7 +127,7 @@ def bench(
                     row = results.setdefault(name, {})[task.title] = result_of(score, scale.get(task.title))
                     fly = certifiers.get(task.preset)
                     flight = None if fly is None else fly(task, entrant, certify, **options)
-                    row |= {} if flight is None else {"basilisk": flight.summary()}
+                    row |= {"library": entrant.library} | ({} if flight is None else {"basilisk": flight.summary()})
                 if out is not None:  # after each task, so that nothing is lost if the run is killed
                     content = document(suite, tasks, max(counts.values()), results) | ({"failed": failed} if failed else {})
                     write_file(out, json.dumps(content, indent=1) + "\n")

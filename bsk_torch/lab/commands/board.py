@@ -29,6 +29,7 @@ class Board:
         tasks: Names of the tasks.
         against: Method with which the others are compared.
         flights: Episodes repeated on Basilisk by method: those that are the same, and all.
+        libraries: Libraries that made the policies of each method, with their versions.
     """
 
     suite: str
@@ -37,6 +38,7 @@ class Board:
     tasks: Sequence[str]
     against: str
     flights: Mapping[str, tuple[int, int]]
+    libraries: Mapping[str, list[str]]
 
     def measures(self, method: str) -> dict[str, Interval]:
         """Return the aggregates of a method, and the probability that it is better than ``against``, with their intervals."""
@@ -88,11 +90,10 @@ def board_of(
         replicates = bootstrap(runs)
     scores = {name: run_scores(one) for name, one in runs.items()}
     best = max(scores, key=lambda name: float(AGGREGATES["IQM"](scores[name])))
-    flights = {
-        name: flights_of([rows[task][one] for task in tasks for one in group if one in rows[task]])
-        for name, group in methods.items()
-    }
-    return Board(suite, scores, replicates, tasks, against or best, flights)
+    played = {name: [rows[task][one] for task in tasks for one in group if one in rows[task]] for name, group in methods.items()}
+    flights = {name: flights_of(entries) for name, entries in played.items()}
+    libraries = {name: sorted({row["library"] for row in entries if "library" in row}) for name, entries in played.items()}
+    return Board(suite, scores, replicates, tasks, against or best, flights, libraries)
 
 
 def scores_of(rows: Mapping[str, Mapping[str, object]], policies: Sequence[str], suite: str, task: str) -> Tensor:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from bsk_torch._listed import makings
-from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, Options, Preset, flag
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, Options, Preset, Trust, flag
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.shared import environment, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, refusing, working
@@ -38,14 +38,14 @@ def dataset(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Policy that acts: 'random', a baseline, 'pretrained', a run folder, or a planner with its options after "
-            "commas, each with random=P for random actions with probability P; repeatable. Default: random actions, the best "
-            "rule, and the pretrained policy.",
+            help="Policy that acts: 'random', a baseline, 'pretrained', a run folder, a file or function of any library, or a "
+            "planner with its options after commas, each with random=P for random actions with probability P; repeatable. "
+            "Default: random actions, the best rule, and the pretrained policy.",
         ),
     ] = None,
     target: Annotated[
         list[str] | None,
-        flag("NAME", "Policy that follows the tried actions: a baseline, 'pretrained' (default) or a run folder; repeatable."),
+        flag("NAME", "Policy that follows the tried actions: 'pretrained' (default), or another policy; repeatable."),
     ] = None,
     option: Options = None,
     seeds: Annotated[str, flag("A:B", "Episodes of the seeds A to B - 1, or of a single seed, for each behavior.")] = "0:64",
@@ -56,6 +56,7 @@ def dataset(
         bool, typer.Option("--minari", help="Write the episodes in Minari's format as well. Needs the extra minari.")
     ] = False,
     num_envs: AtOnce = 64,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -82,8 +83,8 @@ def dataset(
         if minari:
             check_minari()
     usual = [PRETRAINED] if preset in makings() else []
-    acting = None if behavior is None else [named_behavior(text, preset) for text in behavior]
-    judged = {slug(text): named_policy(text, preset) for text in (usual if target is None else target)}
+    acting = None if behavior is None else [named_behavior(text, preset, trust) for text in behavior]
+    judged = {slug(text): named_policy(text, preset, trust) for text in (usual if target is None else target)}
     policies = [one.policy for one in acting or ()] + [*judged.values()]
     if acting is None:
         policies += [named_policy(name, preset) for name in usual]
@@ -95,9 +96,9 @@ def dataset(
     with refusing(ValueError, ImportError), working("checking the recipe") as show:
         recipe = Recipe(
             preset=preset,
-            behaviors=[Behavior(text, acts and acts.actor(env, device), random) for text, acts, random in acting],
+            behaviors=[Behavior(text, acts and acts.actor(env), random) for text, acts, random in acting],
             seeds=episodes,
-            targets={name: one.actor(env, device) for name, one in judged.items()},
+            targets={name: one.actor(env) for name, one in judged.items()},
             share=share,
             gamma=gamma,
             futures=futures,
@@ -109,7 +110,7 @@ def dataset(
     print_dataset(card, out, minari)
 
 
-def named_behavior(text: str, preset: str) -> Named:
+def named_behavior(text: str, preset: str, trust: bool = False) -> Named:
     """Return the behavior ``NAME[,random=P][,OPTION=VALUE...]``; ends the program for anything else."""
     from bsk_torch.cli.policies import named_actor, named_policy
 
@@ -125,10 +126,10 @@ def named_behavior(text: str, preset: str) -> Named:
             fail(f"--behavior {text!r}: random actions have no options")
         return Named(text, None, 1.0)
     if name.startswith(PREFIX):
-        return Named(text, named_actor(name, preset, extras), share)
+        return Named(text, named_actor(name, preset, extras, trust), share)
     if extras:
         fail(f"--behavior {text!r}: {extras[0]!r} is not an option of a policy; give random=P, or a planner such as plan:rollout")
-    return Named(text, named_policy(name, preset), share)
+    return Named(text, named_policy(name, preset, trust), share)
 
 
 def trained_options(policies: Sequence[NamedPolicy | None]) -> dict[str, object]:

@@ -3,42 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from dataclasses import dataclass
 
+from bsk_torch import __version__
 from bsk_torch._listed import makings
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.policies import NamedPolicy, entrant_of_user, named_policy
 from bsk_torch.cli.shared import preset_options
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.terminal import fail, print_message
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.lab.planners.named import named_planner
 from bsk_torch.lab.suites.suite import VIEWS, Entrant, Task
+from bsk_torch.rl.policies.loading import is_function
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.names import nearest
 
 
-def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
-    """Return what enters the policy that the command line names in ``tasks``; ends the program if there is none."""
+@dataclass(frozen=True)
+class Named:
+    """Enters the policy that the command line names in a task.
+
+    Attributes:
+        enter: Returns the environment and the policy; None for a preset that it does not fit.
+        library: Library that made the policy, and the version.
+    """
+
+    enter: Entrant
+    library: str = f"bsk_torch {__version__}"
+
+    def __call__(self, preset: str, make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
+        """Enter the policy."""
+        return self.enter(preset, make)
+
+
+def entrant_of(name: str, tasks: Sequence[Task] = (), trust: bool = False) -> Named:
+    """Return what enters the policy that the command line names in ``tasks``; ends the program if there is none.
+
+    A policy of another library enters the tasks whose observations and actions fit.
+    """
     allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
     drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
     if name == PRETRAINED:
-        return lambda preset, make: file_entry(named_policy(name, preset), make, drawn) if preset in makings() else None
+        return Named(lambda preset, make: file_entry(named_policy(name, preset), make, drawn) if preset in makings() else None)
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
         choices = [text for text in views if text.partition("=")[0] in allowed]
         options = [text for text in views if text not in choices]
-        named_planner(plain, None, options)  # unknown names and options end the program before anything runs
+        named_planner(plain, None, options, trust)  # unknown names and options end the program before anything runs
         chosen = dict(view_of(text, allowed) for text in choices)
-        return lambda preset, make: planner_entry(plain, options, chosen, preset, make)
+        return Named(lambda preset, make: planner_entry(plain, options, chosen, preset, make, trust))
     if plain in RULES:
         usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
         settings = usual | dict(view_of(view, allowed) for view in views)
-        return lambda preset, make: rule_entry(plain, settings, make)
-    if ":" in plain and not Path(name).exists():
-        return entrant_of_user(plain, views)
-    policy = named_policy(name, None)
-    return lambda preset, make: file_entry(policy, make, drawn) if preset == policy.preset else None
+        return Named(lambda preset, make: rule_entry(plain, settings, make))
+    if is_function(name):
+        return Named(*entrant_of_user(plain, views, trust))
+    policy = named_policy(name, None, trust)
+    library = policy.loaded.library
+    if not policy.card:
+        return Named(lambda preset, make: outside_entry(policy, preset, make), library)
+    return Named(lambda preset, make: file_entry(policy, make, drawn) if preset == policy.preset else None, library)
 
 
 def file_entry(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
@@ -47,7 +72,17 @@ def file_entry(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequenc
     The program ends in tasks with other observations or actions than those of its training.
     """
     env = make(**views_of(policy, drawn))
-    return env, policy.actor(env, str(env.device))
+    return env, policy.actor(env)
+
+
+def outside_entry(policy: NamedPolicy, preset: str, make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
+    """Enter a policy of another library; None, with a message, where the observations or actions of the preset do not fit."""
+    env = make()
+    try:
+        return env, shared(policy.loaded.fit(env, preset), env)
+    except ValueError as error:
+        print_message(f"{policy.name} is not for {preset}: {error}")
+        return None
 
 
 def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, object]:
@@ -68,12 +103,12 @@ def rule_entry(name: str, views: Mapping[str, object], make: Callable[..., Taski
 
 
 def planner_entry(
-    name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking]
+    name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking], trust: bool
 ) -> tuple[Tasking, Policy]:
     """Enter a planner, in an environment with ``views`` and those of its base; ends the program where it does not fit."""
-    chosen = named_planner(name, preset, options)
+    chosen = named_planner(name, preset, options, trust)
     env = make(**(views_of(chosen) | dict(views)))
-    return env, chosen.actor(env, str(env.device))
+    return env, chosen.actor(env)
 
 
 def view_of(text: str, allowed: Sequence[str]) -> tuple[str, object]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Policy, flag
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Policy, Trust, flag
 from bsk_torch.cli.shared import check_writable, drawing, extra, made, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
@@ -42,6 +42,7 @@ def explain_failures(
         Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the first death, with its cause and last chance.")
     ] = None,
     out: JsonFile = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -65,7 +66,7 @@ def explain_failures(
     episodes, start_seeds = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
     figure = drawing(draw, "bsk_torch.viz.figures.timeline")
     check_writable(out)
-    named, env, actor = flown_by(policy, preset, num_envs, options)
+    named, env, actor = flown_by(policy, preset, num_envs, options, trust)
     if not isinstance(env, SatelliteTasking):
         fail(f"{named.preset} has many satellites; failures are explained of one")
     begin = time.perf_counter()

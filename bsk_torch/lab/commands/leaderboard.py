@@ -133,10 +133,10 @@ def print_board(board: Board) -> None:
             {"method": name, "runs": str(len(board.scores[name]))}
             | {measure: interval_text(values[measure]) for measure in AGGREGATES}
             | {better: interval_text(values["better"]) if "better" in values else ""}
-            | {"same on Basilisk": f"{equal} of {repeated}" if repeated else ""}
+            | {"same on Basilisk": f"{equal} of {repeated}" if repeated else "", "library": ", ".join(board.libraries[name])}
         )
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
-    print_table(table, title, ("mean", "optimality gap", "same on Basilisk", better), left=("method",))
+    print_table(table, title, ("library", "mean", "optimality gap", "same on Basilisk", better), left=("method", "library"))
     print_message(
         "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes; one run has those of its episodes."
     )
@@ -151,7 +151,11 @@ def document(board: Board) -> dict[str, Any]:
     """Return the content of the JSON file."""
     methods = {
         name: {measure: interval._asdict() for measure, interval in board.measures(name).items()}
-        | {"scores": scores.tolist(), "basilisk": dict(zip(("same", "episodes"), board.flights[name], strict=True))}
+        | {
+            "library": board.libraries[name],
+            "scores": scores.tolist(),
+            "basilisk": dict(zip(("same", "episodes"), board.flights[name], strict=True)),
+        }
         for name, scores in board.scores.items()
     }
     return {"suite": board.suite, "tasks": list(board.tasks), "against": board.against, "methods": methods}

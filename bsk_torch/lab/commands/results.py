@@ -30,6 +30,7 @@ class Returns(TypedDict):
     """A policy in a task, as the leaderboard reads it."""
 
     returns: Annotated[list[Amount], MinLen(1)]
+    library: NotRequired[Word]
     basilisk: NotRequired[Repeated]
 
 
@@ -39,6 +40,7 @@ class Played(Summary):
     __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
 
     returns: Annotated[list[Amount], MinLen(1)]
+    library: NotRequired[Word]
     basilisk: NotRequired[Flown]
     score: NotRequired[Estimate]
     seconds_per_decision: Annotated[float, Interval(ge=0.0)]

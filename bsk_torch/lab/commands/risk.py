@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy, flag
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy, Trust, flag
 from bsk_torch.cli.shared import check_writable, drawing, extra, made, preset_options
 from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
@@ -51,6 +51,7 @@ def estimate_risk(
     save: Annotated[Path | None, flag("FILE", "JSON file for a typical episode of each way, to fly it again.")] = None,
     draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the most typical episode.")] = None,
     out: JsonFile = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -73,7 +74,7 @@ def estimate_risk(
     figure = drawing(draw, "bsk_torch.viz.figures.timeline")
     check_writable(save, out)
     options = preset_options(option) | options
-    named, env, actor = flown(policy, preset, num_envs, options)
+    named, env, actor = flown(policy, preset, num_envs, options, trust)
     if draw is not None and not isinstance(env, SatelliteTasking):
         fail(f"--draw shows the episode of one satellite; {named.preset} has many")
     with (

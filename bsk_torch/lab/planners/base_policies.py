@@ -9,8 +9,8 @@ from typing import TypeAlias
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import Tasking
-from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
-from bsk_torch.rl.policies.shared_policy import as_policy, rule, shared
+from bsk_torch.rl.policies.loading import load_policy
+from bsk_torch.rl.policies.shared_policy import as_policy, rule
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.policies import Actor
@@ -27,8 +27,8 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
     """Return the base policy of a planner for all agents of ``env``.
 
     Args:
-        base: One of the ``BASELINES``, such as ``"hasty"``; a run folder or policy file for this environment; what
-            :func:`~bsk_torch.rl.policies.as_policy` takes; or None for the first applicable rule of :data:`USUAL`.
+        base: What :func:`~bsk_torch.load_policy` or :func:`~bsk_torch.rl.policies.as_policy` takes, such as ``"hasty"`` or a run
+            folder; or None for the first applicable rule of :data:`USUAL`.
         env: The environment.
 
     Raises:
@@ -42,16 +42,7 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
         raise ValueError("base=None: none of the rules fits the environment; give a policy")
     if not isinstance(base, str | Path):
         return as_policy(base, env)
-    if base in BASELINES:
-        try:
-            return rule(str(base), env)
-        except (KeyError, ValueError) as error:
-            raise ValueError(f"base={base!r} does not fit the environment: {error.args[0]}") from error
     try:
-        card = read_card(base)
+        return load_policy(base, env)
     except FileNotFoundError as error:
-        raise ValueError(
-            f"base={str(base)!r} is not a rule, run folder or policy file; {nearest(str(base), BASELINES)}"
-        ) from error
-    check_fits(card, env)
-    return shared(build_policy(card, env.device), env)
+        raise ValueError(f"base={str(base)!r} is no policy; {nearest(str(base), BASELINES)}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 
 from bsk_torch.env import Tasking
@@ -51,3 +52,34 @@ def planner(name: str, env: Tasking, **options: Any) -> Planner:
                 f"unexpected keyword argument {option!r}: planner {name!r} has no such option; {nearest(option, allowed)}"
             )
     return kind(env, **options)
+
+
+BY_HAND = ("value", "price", "prior")
+"""Options that are modules or functions, which texts cannot name."""
+
+
+def options_in(name: str, texts: Sequence[str]) -> dict[str, Any]:
+    """Return the options of a planner in texts ``NAME=VALUE``; ValueError for others, and for unknown or unfit names."""
+    allowed = [option for option in options_of(name) if option not in BY_HAND]
+    options: dict[str, Any] = {}
+    for text in texts:
+        option, equals, value = text.partition("=")
+        if not equals or not value:
+            raise ValueError(f"{text!r} must be NAME=VALUE, such as horizon=240")
+        if option in BY_HAND:
+            raise ValueError(
+                f"{text!r}: {option!r} is a module or a function; give it in Python, to bsk_torch.lab.planners.planner"
+            )
+        if option not in allowed:
+            raise ValueError(f"{text!r}: plan:{name} has no option {option!r}; {nearest(option, allowed)}")
+        options[option] = None if value == "none" else _value(value)
+    return options
+
+
+def _value(text: str) -> object:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -370,3 +370,9 @@ def _as_price(
         return torch.stack(parts).sum(0)
 
     return of_observation
+
+
+def check_no_planner(policy: object) -> None:
+    """Raise ValueError for a planner, where a policy is to act in copies of the environment."""
+    if isinstance(policy, Planner):
+        raise ValueError(f"policy={policy.name!r} plans in its own environment, and not in copies of it; give another policy")

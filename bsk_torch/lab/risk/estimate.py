@@ -22,7 +22,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
 from bsk_torch.lab.planners.branches import check_copyable
-from bsk_torch.lab.planners.planner import Planner
+from bsk_torch.lab.planners.planner import check_no_planner
 from bsk_torch.lab.risk.rare_events import DEATH, Function, rare_event
 from bsk_torch.lab.risk.rare_flights import DRAWN, FAILED, TIME, Flights
 from bsk_torch.lab.risk.screened import Screen, Screened, ScreenedSampling
@@ -248,8 +248,7 @@ def risk(
     whole("repetitions", repetitions, LEAST_REPETITIONS)
     number("smallest", smallest, 1e-15, 1.0)
     whole("pool", pool, 2 * episodes, 2**31)
-    if isinstance(policy, Planner):
-        raise ValueError(f"policy={policy.name!r} plans in its own environment, and not in copies of it; give another policy")
+    check_no_planner(policy)
     check_copyable(env, AgentTable(env))
     rows = env.num_envs
     twin = env.like(rows, env_ids=[0] * rows)

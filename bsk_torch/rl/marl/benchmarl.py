@@ -1,4 +1,4 @@
-"""Constellations as tasks of BenchMARL, which trains and compares multi-agent algorithms.
+"""Constellations as tasks of BenchMARL, which trains and compares multi-agent algorithms, and the policies of its experiments.
 
 BenchMARL 1.5 asks pip for an older TorchRL than this package needs, and installs without its dependencies:
 ``pip install --no-deps benchmarl==1.5.2``.
@@ -7,8 +7,12 @@ BenchMARL 1.5 asks pip for an older TorchRL than this package needs, and install
 from __future__ import annotations
 
 import copy
+import pickle
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -16,9 +20,12 @@ import torchrl.collectors
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
+from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.presets import make
+from bsk_torch.rl.policies.interface import Loaded
+from bsk_torch.wrappers.policies import WholePolicy
 
-__all__ = ["ConstellationClass", "ConstellationTask"]
+__all__ = ["ConstellationClass", "ConstellationTask", "read_experiment"]
 
 RENAMED = not hasattr(torchrl.collectors, "SyncDataCollector")
 if RENAMED:  # BenchMARL 1.5 imports TorchRL's collector by the name that it had before 0.12
@@ -132,3 +139,53 @@ PRESET = {
     "RELAY_CONSTELLATION": "RelayConstellation-v1",
 }
 """Presets by the names of the tasks."""
+
+
+def read_experiment(file: Path) -> Loaded:
+    """Read the policy of an experiment's checkpoint, ``checkpoints/checkpoint_N.pt`` below its folder, which has ``config.pkl``.
+
+    Unpickles both. ValueError for damaged files; the policy is built for the environment in which it is to act.
+    """
+    try:
+        with open(file.parent.parent / "config.pkl", "rb") as stream:
+            parts = [pickle.load(stream) for _ in range(8)]  # as Experiment writes them
+        state = torch.load(file, map_location="cpu", weights_only=False)
+    except Exception as error:  # unpickling may raise anything
+        raise ValueError(f"{str(file)!r} is no experiment of BenchMARL: {type(error).__name__}: {error}") from error
+    task, _, algorithm, model, _, config, critic, _ = parts
+    title = f"the experiment {str(file)!r}"
+    trained = sorted(name.removeprefix("loss_") for name in state if name.startswith("loss_"))
+
+    def fit(env: Tasking, where: str) -> WholePolicy:
+        groups = dict(env.group_map) if isinstance(env, ConstellationTasking) else {}
+        if sorted(groups) != trained:
+            raise ValueError(
+                f"{title} acts for the groups {', '.join(trained)}; {where} has {', '.join(groups) or 'one satellite'}"
+            )
+        for name in ("train_device", "sampling_device", "buffer_device"):
+            setattr(config, name, str(env.device))
+        experiment = SimpleNamespace(
+            config=config,
+            model_config=model,
+            critic_model_config=critic or model,
+            algorithm_config=algorithm,
+            on_policy=algorithm.on_policy(),
+            group_map=groups,
+            observation_spec=task.observation_spec(env),
+            action_spec=task.action_spec(env),
+            action_mask_spec=task.action_mask_spec(env),
+            state_spec=None,
+            task=task,
+        )
+        made = algorithm.get_algorithm(experiment=experiment)
+        try:
+            for group in groups:
+                made.get_loss_and_updater(group)[0].load_state_dict(state[f"loss_{group}"])
+        except RuntimeError as error:  # whose message has a line for each weight
+            lines = [line.strip() for line in str(error).splitlines()]
+            raise ValueError(
+                f"{title} has other observations or actions than {where}: {lines[min(1, len(lines) - 1)]}"
+            ) from error
+        return WholePolicy(made.get_policy_for_collection().requires_grad_(False))
+
+    return Loaded(fit, f"benchmarl {version('benchmarl')}")

@@ -180,6 +180,6 @@ def told(run: Training) -> str:
     if own and not objects:
         return f"results: {run.out}\nnext: bsk-torch report {folder} --preset {shlex.quote(config.preset)}"
     if config.preset not in LISTED or objects:
-        return f"results: {run.out}\nnext: bsk_torch.rl.policies.load_policy({str(run.out)!r})"
+        return f"results: {run.out}\nnext: bsk_torch.load_policy({str(run.out)!r}, env)"
     resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""
     return f"results: {run.out}\nnext: {resumed}bsk-torch report {folder}"

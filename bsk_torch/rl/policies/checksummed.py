@@ -38,6 +38,15 @@ def save_checksummed(path: Path, entries: Mapping[str, object]) -> None:
     write_file(path, content + CHECKSUM_MARK + hashlib.sha256(content).digest())
 
 
+def is_checksummed(path: Path) -> bool:
+    """Return whether a file ends as those of :func:`save_checksummed`."""
+    if not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        file.seek(-min(path.stat().st_size, len(CHECKSUM_MARK) + hashlib.sha256().digest_size), 2)
+        return file.read().startswith(CHECKSUM_MARK)
+
+
 def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Read a file of :func:`save_checksummed`; files of release 0.1, which lack a checksum, are read with a warning.
 

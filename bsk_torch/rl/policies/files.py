@@ -60,7 +60,7 @@ def save_policy(
     preset: str,
     options: Mapping[str, object],
 ) -> None:
-    """Write a policy for :func:`load_policy`, with the environment used for training.
+    """Write a policy for :func:`policy_of_file`, with the environment used for training.
 
     Args:
         path: The file.
@@ -120,7 +120,10 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
         raise FileNotFoundError(f"there is no policy {str(path)!r}; training leaves {POLICY} in its folder")
     card = load_checksummed(path, "policy", device)
     if not _is_card(card):
-        raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
+        raise ValueError(
+            f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again. For weights of your own "
+            "network, name it: module:function"
+        )
     for name in LOGS:
         if name in card["options"]:
             raise ValueError(f"{str(path)!r} has the option {name!r}, which is not taken from files")
@@ -210,7 +213,7 @@ def _listed(value: object) -> object:
     return [_listed(part) for part in value] if isinstance(value, list | tuple) else value
 
 
-def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorDictModuleBase:
+def policy_of_file(path: Path | str, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """Return the policy of a file or run folder, as :func:`build_policy` does; for errors, see :func:`read_card`."""
     return build_policy(read_card(path, device), device)
 

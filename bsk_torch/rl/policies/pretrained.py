@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch._listed import makings, no_policy
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 
 FOLDER = Path(__file__).parent
 """Folder of the policies, ``PRESET.pt``, and their metadata."""
@@ -31,4 +31,4 @@ def pretrained(preset: str, device: torch.device | str = "cpu") -> TensorDictMod
     ``as_set=True``, but policies with attention choose among any number of targets, ``n_ahead`` in presets. Policies for
     constellations act for one satellite; :func:`~bsk_torch.rl.policies.shared_policy.shared` applies them to all.
     """
-    return load_policy(pretrained_file(preset), device)
+    return policy_of_file(pretrained_file(preset), device)

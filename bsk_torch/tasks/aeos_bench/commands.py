@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, Options, Policy, flag
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, Options, Policy, Trust, flag
 from bsk_torch.cli.shared import check_writable, environment, preset_options
 from bsk_torch.cli.terminal import activity, echo, refusing, working
 
@@ -43,6 +43,7 @@ def export_aeosbench(
     turn: Annotated[int, flag("E", "Round of annotation that the files are named after.", "--round", min=0)] = 0,
     sensor: Sensor = "assigned",
     option: Options = None,
+    trust: Trust = False,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -56,12 +57,12 @@ def export_aeosbench(
     from bsk_torch.tasks.aeos_bench.annotations import check_names, export_annotations, fly_cases
     from bsk_torch.tasks.aeos_bench.files import read_cases
 
-    named = named_policy(policy, PRESET)
+    named = named_policy(policy, PRESET, trust)
     with refusing():
         scenarios = read_cases(cases)
         check_names(scenarios)  # before hours are spent
     env = bench(scenarios, sensor, named.options(preset_options(option) | options))
-    actor = named.actor(env, options["device"])
+    actor = named.actor(env)
     with working(f"flying {policy}"):
         with refusing():
             flights = list(fly_cases(actor, env))

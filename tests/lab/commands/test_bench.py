@@ -135,7 +135,6 @@ def test_an_interrupt_keeps_the_tasks_that_were_played(run, failing, tmp_path):
     ("name", "message"),
     [
         ("failing_entrant:entre", "failing_entrant has no 'entre'; did you mean 'enter'?"),
-        ("failing_entrant.py:enter", "write failing_entrant:enter"),
         ("broken_entrant:enter", "ZeroDivisionError: division by zero"),
     ],
 )
