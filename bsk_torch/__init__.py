@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
     from bsk_torch.presets import make
-    from bsk_torch.rl.evaluation import compare, evaluate
+    from bsk_torch.rl.evaluation.evaluate import evaluate
+    from bsk_torch.rl.evaluation.results import compare
     from bsk_torch.rl.marl.one_call import train
     from bsk_torch.rl.policies.loading import load_policy
+    from bsk_torch.rl.policies.readers import reader
     from bsk_torch.rl.policies.shared_policy import rule
-    from bsk_torch.rl.rules.readers import reader
     from bsk_torch.rl.tuning import tune
     from bsk_torch.sim import dyn, faults, fsw
 
@@ -63,7 +64,7 @@ _HOMES = {
     "fsw": "bsk_torch.sim.fsw",
     "load_policy": "bsk_torch.rl.policies.loading",
     "make": "bsk_torch.presets",
-    "reader": "bsk_torch.rl.rules.readers",
+    "reader": "bsk_torch.rl.policies.readers",
     "rule": "bsk_torch.rl.policies.shared_policy",
     "train": "bsk_torch.rl.marl.one_call",
     "tune": "bsk_torch.rl.tuning",

@@ -186,7 +186,7 @@ def unlisted(preset: str) -> str:
 def no_policy(preset: str) -> str:
     """Return what to do for a preset without a pretrained policy, or what is wrong with the name."""
     if ":" in preset:
-        return f"there is no pretrained policy for {preset!r}, an environment of yours: name a policy, such as random or a run folder"
+        return f"there is no pretrained policy for {preset!r}, your environment: name a policy, such as random or a run folder"
     if preset not in LISTED:
         return f"there is no pretrained policy for {preset!r}: it {unlisted(preset).partition(' ')[2]}"
     rules = ", ".join(("random", *LISTED[preset].rules))

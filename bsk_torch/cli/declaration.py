@@ -29,7 +29,10 @@ def flag(metavar: str, text: str, *names: str, **settings: Any) -> Any:
 # -- arguments and options of several commands -----------------------------------------------------------------------------------
 
 Preset = Annotated[
-    str, typer.Argument(help="Environment; 'bsk-torch list' names them; or your own (module:name or file.py:name).", show_default=False)
+    str,
+    typer.Argument(
+        help="Environment; 'bsk-torch list' names them; or your own (module:name or file.py:name).", show_default=False
+    ),
 ]
 BASELINES = ", ".join(RULES)
 ANY = (

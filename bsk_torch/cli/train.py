@@ -46,8 +46,8 @@ def train(
     preset: Annotated[
         str,
         typer.Argument(
-            help="Environment ('bsk-torch list' names them), or your own function of num_envs (module:name or file.py:name); with "
-            "--resume, a run folder.",
+            help="Environment ('bsk-torch list' names them), or your own function of num_envs (module:name or file.py:name); "
+            "with --resume, a run folder.",
             show_default=False,
         ),
     ],

@@ -141,7 +141,7 @@ class MadeOfArguments(Snapshots):
     def remade(self: Environment, **changes: Any) -> Environment:
         """Return another environment made of the same arguments of the constructor but for ``changes``, without logs.
 
-        With ``num_envs``, ``env_ids`` are 0 to ``num_envs`` - 1 unless given. If only ``num_envs``, ``env_ids`` and ``seed`` change, satellite types
+        With ``num_envs``, ``env_ids`` are 0 to ``num_envs`` - 1 unless given. If only these and ``seed`` change, satellite types
         are shared, as by :meth:`like`. TypeError and ValueError as from the constructor.
         """
         kept = {name: value for name, value in self._arguments.items() if name not in ("log_level", "log_dir", "log_envs")}

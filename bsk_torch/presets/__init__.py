@@ -64,8 +64,8 @@ def make(name: str, **options: object) -> Any:
             raise ValueError(f"name={name!r} is not installed: this copy of bsk_torch has no folder {folder}")
         if ":" in name:
             raise ValueError(
-                f"name={name!r} is a function of a user's program, which is not imported because a file names it; if you trust it, "
-                f"name it yourself: --preset {name}, with --resume preset={name}, or bsk_torch.train({name!r})"
+                f"name={name!r} is a function of a user's program, which is not imported because a file names it; if you trust "
+                f"it, name it yourself: --preset {name}, with --resume preset={name}, or bsk_torch.train({name!r})"
             )
         raise ValueError(f"name={name!r} is not a preset; {nearest(name, PRESETS)}")
     parameters = [p for p in inspect.signature(PRESETS[name]).parameters.values() if p.kind is not p.VAR_KEYWORD]

@@ -1,4 +1,4 @@
-"""Environments of one's own in the place of presets: an environment, or a function that makes one."""
+"""Your own environments in the place of presets: an environment, or a function that makes one."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ class OwnEnvironment:
         names = tuple(p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
         if "num_envs" not in names:
             taken = f"({', '.join(p.name for p in parameters)})"
-            raise TypeError(f"{self.title} takes {taken}; it must take num_envs, the number of episodes, as in 'def mine(num_envs): ...'")
+            raise TypeError(
+                f"{self.title} takes {taken}; it must take num_envs, the number of episodes, as in 'def mine(num_envs): ...'"
+            )
         return names
 
     @cached_property
@@ -64,11 +66,11 @@ class OwnEnvironment:
 
 
 def enter(source: Source, name: str | None = None) -> str:
-    """Enter an environment of one's own among :data:`~bsk_torch.presets.PRESETS` of this process, and return its name there.
+    """Enter your own environment among :data:`~bsk_torch.presets.PRESETS` of this process, and return its name there.
 
     Args:
-        source: An environment, or a function of ``num_envs`` that makes one. Other options, such as ``time_limit``, are passed to a
-            function that takes them or ``**options``, and otherwise replace arguments of the environment that it returns.
+        source: An environment, or a function of ``num_envs`` that makes one. Other options, such as ``time_limit``, are passed
+            to a function that takes them or ``**options``, and otherwise replace arguments of the environment that it returns.
         name: Its name; by default after the function, ``module:function``, or the first satellite.
 
     Raises:
@@ -79,7 +81,9 @@ def enter(source: Source, name: str | None = None) -> str:
     else:
         title = f"{getattr(source, '__module__', 'own')}:{name_of(source)}"
     name = name or title
-    PRESETS[name] = OwnEnvironment(source, "env" if isinstance(source, EnvBase) or not callable(source) else f"the function {title}")
+    PRESETS[name] = OwnEnvironment(
+        source, "env" if isinstance(source, EnvBase) or not callable(source) else f"the function {title}"
+    )
     return name
 
 

@@ -67,7 +67,7 @@ class Tuned:
     def __str__(self) -> str:
         values = ", ".join(f"{name}={value:.4g}" for name, value in self.thresholds.items())
         return (
-            f"{values}: return {self.evaluation.mean_return} in {len(self.evaluation.returns)} fresh episodes; tuned in "
+            f"{values}: return {self.evaluation.mean_return} in {len(self.evaluation.returns)} unseen episodes; tuned in "
             f"{self.episodes:,} episodes, {len(self.returns)} settings, {self.core_seconds:.1f} core-seconds"
         )
 
@@ -134,7 +134,9 @@ def tune(
     function, defaults = _tunable(rule, satellite)
     table = _settings(ranges, defaults, settings, whole("seed", seed, 0))
     first = FIRST + seed * SPAN
-    flights = _Flights(env, RowThresholds(function, satellite, list(table)), table, min(MOST, episodes * len(next(iter(table.values())))))
+    flights = _Flights(
+        env, RowThresholds(function, satellite, list(table)), table, min(MOST, episodes * len(next(iter(table.values()))))
+    )
     alive = torch.arange(flights.count)
     total, flown = torch.zeros(flights.count, dtype=torch.float64), torch.zeros(flights.count, dtype=torch.int64)
     for k in range(rounds):
@@ -225,7 +227,7 @@ def _settings(ranges: Mapping[str, Range], defaults: Mapping[str, float | None],
     table = {name: _spread(values, lots[:, k]) for k, (name, values) in enumerate(ranges.items())}
     if all(_lies_in(defaults[name], values) for name, values in ranges.items()):
         for name, column in table.items():
-            column[0] = defaults[name]
+            column[0] = float(defaults[name] or 0.0)
     return table
 
 

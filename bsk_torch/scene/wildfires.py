@@ -31,7 +31,7 @@ FIRE_BOUNDS: dict[str, dict[str, Any]] = {
 
 
 ATTEMPTS = 64
-"""Draws of a fire to come, of which the first that comes after the present time is taken."""
+"""Draws of a fire to come, of which the first that comes after the current time is taken."""
 
 
 class Wildfires(ChangingTargets, UniformTargets):

@@ -10,6 +10,7 @@ from bsk_torch.rl.marl.runs import configure
 from bsk_torch.rl.training.config import PPOConfig, override
 from bsk_torch.rl.training.imitation import enter_teacher, find_teacher
 from tests.support.refusals import check_refusals, refusal
+
 pytestmark = pytest.mark.compiled
 
 TINY = dict(num_envs=4, rollout=4, frames=16, epochs=1, evaluate_every=0, quiet=True)
@@ -86,7 +87,9 @@ def test_rules_of_ones_own_teach(file):
     network = torch.nn.Linear(12, 4)
     names = [enter_teacher(teacher) for teacher in (network, torch.nn.Linear(12, 4), network)]
     assert names[0] == names[2] != names[1]
-    assert find_teacher(names[0], scanner(1))(start.clone())["action"].tolist() == network(start["observation"]).argmax(-1).tolist()
+    assert (
+        find_teacher(names[0], scanner(1))(start.clone())["action"].tolist() == network(start["observation"]).argmax(-1).tolist()
+    )
     assert PPOConfig(imitate=careful).imitate == "tests.rl.test_one_call:careful"
 
 

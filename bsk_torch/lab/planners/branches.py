@@ -138,7 +138,7 @@ class Branches:
         value: Value | None,
         price: Price | None = None,
     ) -> None:
-        """Create the rows; ``value`` evaluates the last states of branches cut after some time, ``price`` of those cut at limits."""
+        """Create the rows; ``value`` evaluates the last states of branches cut after some time, ``price`` of others."""
         self.slots, self.base, self.discounting, self.value, self.price = slots, base, discounting, value, price
         self.model = env.like(rows)
         self.all_rows = torch.arange(rows, device=env.device)

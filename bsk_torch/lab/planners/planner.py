@@ -19,7 +19,7 @@ from bsk_torch.lab.planners.base_policies import Base, base_of
 from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Price, Value, carried, check_copyable
 from bsk_torch.lab.planners.resampling import present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
-from bsk_torch.rl.rules.readers import reader
+from bsk_torch.rl.policies.readers import reader
 from bsk_torch.rl.training.config import REWARD_TIMES
 from bsk_torch.sim.names import one_of
 
@@ -85,7 +85,8 @@ class Planner(TensorDictModuleBase):
     or part of the state is hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them),
     this makes no difference. With ``futures``, each decision is planned in several resampled futures and averaged over them:
     copies get separate seeds, which determine the noise, faults that have not happened yet are drawn again, and so are hidden
-    values of the scenario, by :meth:`bsk_torch.scene.Scenario.redraw`. Faults that act are known to the planner, even if they are not observed.
+    values of the scenario, by :meth:`bsk_torch.scene.Scenario.redraw`. Faults that act are known to the planner, even if they are
+    not observed.
     """
 
     name: ClassVar[str]
@@ -123,10 +124,10 @@ class Planner(TensorDictModuleBase):
             reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
             value: A module that writes ``state_value`` [n, 1] for observations [n], used instead of rewards beyond the horizon;
                 branches then end with the first step that reaches it.
-            price: Worth of the state in which a branch is cut at the horizon, in rewards, added there to its return: a function of
-                an environment with the copies that returns [N]; or for one satellite the worth per unit of observed quantities
-                by name, see :func:`bsk_torch.reader`, such as ``{"battery_charge_fraction": 0.2}``. Without it, nothing that is
-                left at the horizon counts. States of dead satellites and at the end of the episode have none.
+            price: Worth of the state in which a branch is cut at the horizon, in rewards, added there to its return: a function
+                of an environment with the copies that returns [N]; or for one satellite the worth per unit of observed quantities
+                by name, see :func:`bsk_torch.reader`, such as ``{"battery_charge_fraction": 0.2}``. Without it, the state at
+                the horizon has no worth. States of dead satellites and at the end of the episode have none.
             futures: Number of futures drawn for each decision; None for the true one.
             seed: Seed of futures and samples.
             rows: Number of copies simulated at once, which affects memory and speed but not results.

@@ -120,7 +120,7 @@ def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Seq
     Args:
         policy: A module that writes the actions of one satellite, or of all agents of a constellation, into the environment's
             tensordict; or a torch module or function of the observation, or a model of Stable-Baselines3, as
-            :func:`~bsk_torch.wrappers.policies.policy_of_one` describes; or the name of a rule, or of a policy file or run folder.
+            :func:`~bsk_torch.wrappers.policies.policy_of_one` describes; or the name of a rule, policy file or run folder.
             Entries written under ``next``, such as a recurrent state, are passed to the policy at the next decision.
         env: The environment, with one satellite or several; its episodes are reset.
         seed: Play one episode in each of the environment's N rows: the episodes started after ``env.set_seed(seed)``.
@@ -132,8 +132,8 @@ def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Seq
 
     Raises:
         TypeError: For anything else, with what to write.
-        ValueError: For empty ``seeds``, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a policy
-            that reads observations missing in the environment.
+        ValueError: For empty ``seeds``, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a
+            policy that reads observations missing in the environment.
     """
     policy = as_policy(policy, env)
     check_reads(policy, env.observation_spec, TRAINED_WITH if isinstance(env, SatelliteTasking) else SHARE)

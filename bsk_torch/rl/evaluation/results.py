@@ -65,7 +65,10 @@ def compare(
     if isinstance(policies, str) or not isinstance(policies, Mapping | Sequence):
         raise TypeError(f"policies={policies!r:.80} must be a list of policies, or a dictionary of them by name")
     named = policies if isinstance(policies, Mapping) else _named(policies)
-    players = {**named, **{name: rule for name, rule in (shared_baselines(env, seed) if rules else {}).items() if name not in named}}
+    players = {
+        **named,
+        **{name: rule for name, rule in (shared_baselines(env, seed) if rules else {}).items() if name not in named},
+    }
     episodes = {"seed": seed + FRESH} if seeds is None else {"seeds": seeds}
     return Comparison({name: evaluate(player, env, **episodes) for name, player in players.items()})
 
@@ -75,7 +78,9 @@ def _named(policies: Sequence[Actor]) -> dict[str, Actor]:
     names: list[str] = []
     for policy in policies:
         base = str(policy) if isinstance(policy, str | Path) else name_of(policy)
-        names.append(base if base not in names else next(n for k in range(2, len(names) + 3) if (n := f"{base} {k}") not in names))
+        names.append(
+            base if base not in names else next(n for k in range(2, len(names) + 3) if (n := f"{base} {k}") not in names)
+        )
     return dict(zip(names, policies, strict=True))
 
 

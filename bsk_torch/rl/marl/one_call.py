@@ -1,4 +1,4 @@
-"""Train in an environment of one's own by one call."""
+"""Train in your own environment by one call."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def train(
         config = read_config(folder)  # type: ignore[arg-type]
         if not isinstance(env, str):
             enter(env, config.preset)
-        config = replace(config, **({"seconds": None} | limits)) if limits else config
+        config = replace(config, seconds=seconds, frames=frames) if limits else config
     else:
         preset = _entered(env)
         if network is None and _observes_set(preset):

@@ -46,8 +46,9 @@ def is_constellation(preset: str, options: Mapping[str, object] | None = None) -
     """
     if preset not in PRESETS:
         return False
-    if isinstance(PRESETS[preset], OwnEnvironment):
-        return isinstance(PRESETS[preset].sample, ConstellationTasking)
+    function = PRESETS[preset]
+    if isinstance(function, OwnEnvironment):
+        return isinstance(function.sample, ConstellationTasking)
     annotation = inspect.signature(PRESETS[preset], eval_str=True).return_annotation
     if annotation is inspect.Signature.empty or not isinstance(annotation, type):
         return isinstance(make(preset, **({"num_envs": 1, "backend": "eager"} | dict(options or {}))), ConstellationTasking)
@@ -150,7 +151,7 @@ def completed(
 ) -> tuple[TensorDictModuleBase, Comparison]:
     """Train, compare the policy in as many unseen ``episodes``, under the name of ``before`` also as it is now, and tell.
 
-    ``kept`` says whether the folder of the run remains. Returns the policy of one satellite, and the comparison.
+    The folder of the run remains if it is ``kept``. Returns the policy of one satellite, and the comparison.
     """
     if not episodes:
         return run.run(bar=not quiet), Comparison()
@@ -160,7 +161,9 @@ def completed(
     results = {name: evaluate(shared(run.policy, env), env, seed=config.seed + FRESH) for name in before}
     policy = run.run(bar=not quiet)
     comparison = compare({TRAINED: shared(policy, env), **teacher}, env, config.seed)
-    results = Comparison({name: comparison[name] for name in comparison if name != TRAINED} | results | {TRAINED: comparison[TRAINED]})
+    results = Comparison(
+        {name: comparison[name] for name in comparison if name != TRAINED} | results | {TRAINED: comparison[TRAINED]}
+    )
     save_results(results, run.out / EVALUATION, TRAINED)
     if not quiet:
         print_results(results, f"{config.preset}, {episodes} unseen episodes", TRAINED)

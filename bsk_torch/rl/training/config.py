@@ -129,8 +129,9 @@ class PPOConfig:
         gradient_norm: Gradients of the actor, and those of the critic, are scaled down to this norm.
         precision: Type in which networks compute in gradient steps: ``"float32"``, or ``"bfloat16"`` on devices that have it.
             Policies decide in float32.
-        imitate: Rule that the policy learns to imitate first: a name, such as ``"hasty"``, a function or module of your own (see
-            :func:`~bsk_torch.wrappers.policies.policy_of_one`), or its name, ``"module:name"`` or ``"file.py:name"``; None for none.
+        imitate: Rule that the policy learns to imitate first: a name, such as ``"hasty"``, your own function or module (see
+            :func:`~bsk_torch.wrappers.policies.policy_of_one`), or its name, ``"module:name"`` or ``"file.py:name"``. None for
+            none.
         imitation: Part of the budget in which it does; 1 for a training without reinforcement learning and critic.
         imitation_temperature: The rule teaches probabilities proportional to exp(worth / (temperature * best)), with the largest
             worth of an image in the same decision; the worth of an image is about its discounted priority. For the imaging rules

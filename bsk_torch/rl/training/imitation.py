@@ -26,7 +26,7 @@ TEACHERS = tuple(name for name in BASELINES if name != "random")
 """Rules of the package that can be imitated."""
 
 OWN: dict[str, Actor] = {}
-"""Rules of the user's that have been entered in this process, by name."""
+"""The user's rules entered in this process, by name."""
 
 CHUNK = 2048
 """Situations that the rule judges at once: some compare all pairs of targets."""
@@ -61,7 +61,11 @@ def enter_teacher(rule: Actor | str) -> str:
         names = (base, *(f"{base}_{k}" for k in range(2, len(OWN) + 3)))
         name, entered = next(name for name in names if OWN.get(name, rule) is rule), rule
     OWN[name] = entered
-    BASELINES[name] = lambda env, seed=0: policy_of_one(entered, env.satellite)
+
+    def of(env: SatelliteTasking, seed: int = 0) -> TensorDictModuleBase:
+        return policy_of_one(entered, env.satellite)
+
+    BASELINES[name] = of
     return name
 
 

@@ -165,7 +165,7 @@ def test_without_faults_futures_change_no_decision():
 
 
 def test_arrivals_are_planned_for_without_knowing_them():
-    """Episodes with the same past, of which the targets to come differ, are planned alike; few targets lengthen the look-ahead."""
+    """Episodes with the same past, of which the targets to come differ, are planned alike, also with a long look-ahead."""
 
     class Orders(scene.ChangingTargets, scene.UniformTargets):
         def draw(self, key):

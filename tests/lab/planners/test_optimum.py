@@ -127,7 +127,7 @@ def test_a_value_network_leads_the_search():
 
 @pytest.mark.parametrize("kind", [Rollout, BeamSearch])
 def test_a_price_is_added_where_a_branch_is_cut_and_nowhere_else(kind):
-    """An episode of 300 s has no state at its end to be judged; one of 1,500 s has, at the horizon, discounted to the decision."""
+    """An episode that ends at the horizon has no state there to be judged; a longer one has, discounted to the decision."""
     gamma, horizon = 0.999, 240.0
     long, short = scanning(2, 1500.0), scanning(2, horizon)
     one = lambda env: torch.ones(env.num_envs)

@@ -100,7 +100,7 @@ class ObservationReader:
 
 
 def reader(env: Tasking) -> ObservationReader:
-    """Return a reader of the observations of an environment by name, for rules of your own.
+    """Return a reader of the observations of an environment by name, for your own rules.
 
     Example:
         >>> see = bsk_torch.reader(env)
@@ -127,7 +127,7 @@ def _quantities(
 ) -> dict[str, tuple[list[int], tuple[int, ...], Any]]:
     """Return columns, shape and norm by full name of what an ``entry`` observes in the columns ``own``."""
     top, source = entry.unique_name, entry.observation if isinstance(entry, Noisy) else entry
-    norms = {name: norm for name, norm in map(_named, getattr(source, "entries", ()))}
+    norms = dict(map(_named, getattr(source, "entries", ())))
     alone = getattr(source, "norm", None)
     found: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
     if isinstance(source, CandidateObservation) and source.as_set:
@@ -152,7 +152,9 @@ def _of_set(
     total = len(own) // n - 1
     widths = {name: WIDTHS.get(name.removesuffix(NORMD), 1) for name in norms}
     if sum(widths.values()) != total:
-        raise ValueError(f"{top!r} has {total} columns, not {sum(widths.values())}: a function gives several; read these by column")
+        raise ValueError(
+            f"{top!r} has {total} columns, not {sum(widths.values())}: a function gives several; read these by column"
+        )
     found: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
     at = 0
     for name, width in widths.items():
