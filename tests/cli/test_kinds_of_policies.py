@@ -34,7 +34,7 @@ COMMANDS = {
     "audit": lambda policy, out: ("audit", policy, "--seeds", "0:1", "--trust", *SHORT),
     "explain": lambda policy, out: ("explain", policy, "--seeds", "0:2", "--num-envs", "2", "--trust", *SHORT),
     "risk": lambda policy, out: ("risk", policy, "--trust", *FEW),
-    "film": lambda policy, out: ("film", policy, "--out", out / "a.gif", "--height", "60", "--trust", *SHORT),
+    "film": lambda policy, out: ("film", policy, "--out", out / "a.gif", "--height", "120", "--trust", *SHORT),
     "view": lambda policy, out: ("view", "NadirScan-v1", "--policy", policy, "--out", out / "a.bskview", "--trust", *SHORT),
     "export": lambda policy, out: ("export", "NadirScan-v1", "--policy", policy, "--out", out / "a.csv", "--trust", *SHORT),
     "bench": lambda policy, out: ("bench", policy, "--presets", "NadirScan-v1", "--episodes", "1", "--trust"),

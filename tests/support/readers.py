@@ -5,7 +5,9 @@ import gzip
 import io
 import json
 import struct
+import zipfile
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -30,6 +32,7 @@ from bsk_torch.recording.recording import MAGIC, decode
 from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import policy_of_file
+from bsk_torch.rl.policies.loading import read_policy
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
@@ -39,6 +42,7 @@ from bsk_torch.tasks.aeossp import read_case, read_solution
 from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog
 from bsk_torch.untrusted import Word, parse_json, read_json
 from tests.formats import samples as orbits
+from tests.support.outside_policies import Net, exported, onnx_model
 from tests.support.recordings import synthetic_recording
 from tests.tasks.aeos_bench import aeos_cases
 from tests.tasks.aeossp.part import FILES, PART, part
@@ -173,6 +177,31 @@ REQUESTS = {
 """Requests for images in each kind of file."""
 
 
+SB3_DATA = {
+    "policy_class": {"__module__": "stable_baselines3.common.policies"},
+    "policy_kwargs": {":type:": "<class 'dict'>", "activation_fn": "<class 'torch.nn.modules.activation.ReLU'>"},
+    "observation_space": {":type:": "<class 'gymnasium.spaces.box.Box'>"},
+    "action_space": {":type:": "<class 'gymnasium.spaces.discrete.Discrete'>", "n": "4"},
+}
+
+
+def sb3_zip(data: bytes) -> bytes:
+    """A model of Stable-Baselines3 with settings as JSON."""
+    layers = {"mlp_extractor.policy_net.0.": (12, 3), "action_net.": (3, 4)}
+    weights = {f"{name}weight": torch.zeros(out, size) for name, (size, out) in layers.items()}
+    buffer, file = io.BytesIO(), io.BytesIO()
+    torch.save(weights | {f"{name}bias": torch.zeros(out) for name, (_, out) in layers.items()}, buffer)
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in {"data": data, "policy.pth": buffer.getvalue(), "_stable_baselines3_version": b"2.9.2"}.items():
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+def of_sb3(content: bytes, change: Change) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return sb3_zip(of_json(archive.read("data"), change))
+
+
 def other_file_of_case(name: str) -> Callable[[Path], object]:
     whole = {"constellation.json": aeos_cases.constellation(2), "taskset.json": aeos_cases.tasks(3)}
     return lambda folder: write_file(folder / name, json_bytes(whole[name]))
@@ -195,6 +224,13 @@ def readers() -> dict[str, Reader]:
     assignments = lambda folder: read_assignments(folder, CASE)
     return {
         "policy": Reader("policy.pt", pretrained_file("NadirScan-v1").read_bytes(), policy_of_file, of_checksummed),
+        "model of Stable-Baselines3": Reader("x.zip", sb3_zip(json_bytes(SB3_DATA)), lambda f: read_policy(f / "x.zip"), of_sb3),
+        "exported program": Reader("x.pt2", exported(Net()), lambda folder: read_policy(folder / "x.pt2")),
+        **(
+            {"ONNX": Reader("x.onnx", onnx_model(torch.zeros(12, 4)), lambda folder: read_policy(folder / "x.onnx"))}
+            if find_spec("onnx") and find_spec("onnxruntime")
+            else {}
+        ),
         "checkpoint": Reader(
             "checkpoint.pt",
             written(checkpoint, "checkpoint.pt"),

@@ -134,7 +134,9 @@ PARTS = re.compile(
 
 
 def exported_fault(path: Path) -> str:
-    """Return what reading an exported program could execute; empty for a program that calls operators of torch alone."""
+    """Return what reading an exported program could execute; empty for one that calls operators of torch alone, or no archive."""
+    if not zipfile.is_zipfile(path):
+        return ""  # which is not read
     try:
         _screened(path.read_bytes())
     except ValueError as error:
