@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from bsk_torch.lab.export.graph import PolicyGraph
+from bsk_torch.lab.export.graph import MASK, PolicyGraph, Standard
 from bsk_torch.lab.export.record import Record
 from bsk_torch.lab.export.shield import Only
 from bsk_torch.rl.networks.attention import LEAST, SetActor
 from bsk_torch.rl.networks.normaliser import LARGEST
-from bsk_torch.rl.networks.plans import AttentionPlan
 
 FOLDER = Path(__file__).parent
 
@@ -62,11 +62,10 @@ def c_files(graph: PolicyGraph, record: Record, title: str, only: Sequence[Only]
         returns="0" if graph.is_real else "the number of the action, -1 if none is legal",
         reentrant=", but has static working memory: calls must not overlap" if graph.rows is not None else "",
     )
-    sizes = {"LARGEST": f"{LARGEST}f"}
-    if isinstance(graph.network, SetActor):
-        parts = [constants(sizes | attention_sizes(graph, record)), attention_tables(graph), code("common.c", "attention.c")]
-    else:
-        parts = [constants(sizes), mlp_tables(graph), code("common.c"), mlp_code(graph)]
+    is_set = isinstance(graph.network, SetActor)
+    sizes, weights = attention(graph, graph.network, record) if isinstance(graph.network, SetActor) else mlp(graph)
+    macros = "".join(f"#define {name} {value}\n" for name, value in (sizes | {"LARGEST": literal(LARGEST)}).items())
+    parts = [macros, weights, code("common.c", "attention.c" if is_set else "mlp.c")]
     parts += [real_act(graph)] if graph.is_real else [code("choose.c"), masked_act(only)]
     return {
         "policy.h": header,
@@ -79,11 +78,6 @@ def c_files(graph: PolicyGraph, record: Record, title: str, only: Sequence[Only]
 def code(*names: str) -> str:
     """Return files of this folder, one after the other."""
     return "".join((FOLDER / name).read_text() for name in names)
-
-
-def constants(values: Mapping[str, object]) -> str:
-    """Return macros."""
-    return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def literal(value: float) -> str:
@@ -108,6 +102,11 @@ def tables(arrays: Iterable[tuple[str, Tensor]]) -> str:
     return "".join(table(name, values.reshape(-1)) for name, values in arrays)
 
 
+def standards(name: str, standard: Standard) -> list[tuple[str, Tensor]]:
+    """Return means and deviations."""
+    return [(f"{name}_mean", standard.mean), (f"{name}_deviation", standard.deviation)]
+
+
 def linear(name: str, layer: nn.Linear) -> list[tuple[str, Tensor]]:
     """Return weights [inputs, outputs] and biases of a layer."""
     return [(f"{name}_weight", layer.weight.mT), (f"{name}_bias", layer.bias)]
@@ -116,87 +115,36 @@ def linear(name: str, layer: nn.Linear) -> list[tuple[str, Tensor]]:
 # -- networks of layers ----------------------------------------------------------------------------------------------------------
 
 
-def mlp_layers(graph: PolicyGraph) -> list[nn.Linear]:
-    """Return the linear layers; between them are hyperbolic tangents."""
-    return [layer for layer in graph.network.modules() if isinstance(layer, nn.Linear)]
-
-
-def mlp_tables(graph: PolicyGraph) -> str:
-    """Return the weights."""
-    arrays = [("own_mean", graph.own.mean), ("own_deviation", graph.own.deviation)]
-    for k, layer in enumerate(mlp_layers(graph)):
-        arrays += linear(f"layer_{k}", layer)
-    return tables(arrays)
-
-
-def mlp_code(graph: PolicyGraph) -> str:
-    """Return the function ``network``."""
-    layers = mlp_layers(graph)
-    width = max(size for layer in layers for size in (layer.in_features, layer.out_features))
-    calls = []
+def mlp(graph: PolicyGraph) -> tuple[dict[str, object], str]:
+    """Return sizes by their names in the code, and the weights."""
+    layers = [layer for layer in graph.network.modules() if isinstance(layer, nn.Linear)]
+    sizes = [layers[0].in_features, *(layer.out_features for layer in layers)]
+    arrays = standards("own", graph.own)
     for k, layer in enumerate(layers):
-        last = k == len(layers) - 1
-        source, target = f"x[{k % 2}]", "out" if last else f"x[{(k + 1) % 2}]"
-        sizes = f"{layer.in_features}, {layer.out_features}"
-        calls.append(f"    dense(layer_{k}_weight, layer_{k}_bias, {source}, {sizes}, {target});")
-        if not last:
-            calls.append(f"    squash({target}, {layer.out_features});")
-    squash = (
-        "\n/* the hyperbolic tangent, as 2 / (1 + exp(-2 x)) - 1 */\nstatic void squash(float *x, int n)\n{\n"
-        "    for (int i = 0; i < n; ++i) {\n        x[i] = 2.0f / (1.0f + expf(-2.0f * x[i])) - 1.0f;\n    }\n}\n"
-    )
-    return (squash if len(layers) > 1 else "") + "\n".join(
-        [
-            "\n/* returns 0 for numbers that are not finite */",
-            "static int network(const float *observation, float *out)",
-            "{",
-            f"    float x[2][{width}];",
-            "    if (!standardize(observation, BSK_POLICY_OBSERVED, own_mean, own_deviation, x[0])) {",
-            "        return 0;",
-            "    }",
-            *calls,
-            "    return 1;",
-            "}\n",
-        ]
-    )
+        arrays += linear(f"layer_{k}", layer)
+    pointers = ""
+    for array, part in (("weights", "weight"), ("biases", "bias")):
+        names = ", ".join(f"layer_{k}_{part}" for k in range(len(layers)))
+        pointers += f"static const float *const {array}[LAYERS] = {{{names}}};\n"
+    return {"WIDTH": max(sizes), "LAYERS": len(layers)}, tables(arrays) + pointers + table("sizes", torch.tensor(sizes), "int")
 
 
 # -- attention -------------------------------------------------------------------------------------------------------------------
 
 
-def attention_sizes(graph: PolicyGraph, record: Record) -> dict[str, object]:
-    """Return the sizes of the network and of its set, by their names in the code."""
-    plan, network = graph.plan, graph.network
-    assert isinstance(plan, AttentionPlan)
-    assert isinstance(network, SetActor)
-    encoder = network.encoder
-    return {
-        "OWN": plan.n_own,
-        "FEATURES": plan.n_features,
-        "ROWS": len(record.inputs[graph.paths[-2]][0]),
-        "WIDTH": plan.hidden[0],
-        "HEADS": encoder.blocks[0].heads,
-        "BLOCKS": len(encoder.blocks),
-        "FIRST": network.first,
-        "OTHERS": network.n_others,
-        "IMAGES": plan.n_actions - network.n_others,
-        "EPSILON": literal(encoder.norm.eps),
-        "LEAST": literal(LEAST),
-    }
-
-
-def attention_tables(graph: PolicyGraph) -> str:
-    """Return the weights; those of a block are in the order in which the code counts them."""
-    network = graph.network
-    assert isinstance(network, SetActor)
-    assert graph.rows is not None
-    encoder, nothing = network.encoder, torch.zeros(0)
-    arrays = [("own_mean", graph.own.mean), ("own_deviation", graph.own.deviation)]
-    arrays += [("rows_mean", graph.rows.mean), ("rows_deviation", graph.rows.deviation)]
+def attention(graph: PolicyGraph, network: SetActor, record: Record) -> tuple[dict[str, object], str]:
+    """Return sizes by their names in the code, and the weights; those of a block are in the order in which the code counts."""
+    encoder, n_own, n_features = network.encoder, len(graph.own.mean), len(cast(Standard, graph.rows).mean)
+    n_rows = len(record.inputs[graph.paths[-2]][0])
+    sizes: dict[str, object] = {"OWN": n_own, "FEATURES": n_features, "ROWS": n_rows, "WIDTH": encoder.mix.out_features}
+    sizes |= {"HEADS": encoder.blocks[0].heads, "BLOCKS": len(encoder.blocks)}
+    sizes |= {"FIRST": network.first, "OTHERS": network.n_others, "IMAGES": graph.plan.n_actions - network.n_others}
+    arrays = standards("own", graph.own) + standards("rows", cast(Standard, graph.rows))
     for name in ("own", "context", "row", "mix"):
         arrays += linear(name, getattr(encoder, name))
     arrays += [("norm_weight", encoder.norm.weight), ("norm_bias", encoder.norm.bias), *linear("image", network.image)]
-    arrays += [("other_weight", nothing), ("other_bias", nothing)] if network.other is None else linear("other", network.other)
+    nothing = [("other_weight", torch.zeros(0)), ("other_bias", torch.zeros(0))]
+    arrays += nothing if network.other is None else linear("other", network.other)
     lists = []
     for k, block in enumerate(encoder.blocks):
         of_block: list[tuple[str, Tensor]] = []
@@ -206,7 +154,8 @@ def attention_tables(graph: PolicyGraph) -> str:
             of_block += linear(title, layer) if isinstance(layer, nn.Linear) else weights
         arrays += of_block
         lists.append(f"{{{', '.join(name for name, _ in of_block)}}}")
-    return tables(arrays) + f"static const float *const blocks[BLOCKS][12] = {{{', '.join(lists)}}};\n"
+    pointers = f"static const float *const blocks[BLOCKS][12] = {{{', '.join(lists)}}};\n"
+    return sizes | {"EPSILON": literal(encoder.norm.eps), "LEAST": literal(LEAST)}, tables(arrays) + pointers
 
 
 # -- the function, and the record ------------------------------------------------------------------------------------------------
@@ -250,7 +199,7 @@ def recorded(graph: PolicyGraph, record: Record) -> str:
     action, n = record.outputs["action"], len(record)
     expected = action if graph.is_real else record.outputs["logits"]
     scale = 2.0 * graph.reach if graph.is_real else torch.ones(expected.shape[-1])
-    mask = torch.ones(n, 1) if graph.is_real else record.inputs[("action_mask",)]
+    mask = torch.ones(n, 1) if graph.is_real else record.inputs[MASK]
     return "".join(
         [
             f"#define RECORDED {n}\n#define TOLERANCE {literal(TOLERANCE)}\n",

@@ -7,6 +7,7 @@ import hashlib
 import inspect
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -17,7 +18,7 @@ from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.lab.export.graph import MASK, Path, PolicyGraph
+from bsk_torch.lab.export.graph import MASK, PolicyGraph
 from bsk_torch.lab.export.record import Record
 from bsk_torch.obs import Observation
 from bsk_torch.obs.candidates import CandidateObservation
@@ -62,15 +63,7 @@ UNIT = re.compile(r"(?:\] |, )(m\^2/s|m/s|rad/s|degrees|rad|m|s|kg|W|J)(?=[ ,.;]
 
 
 def contract_of(
-    graph: PolicyGraph,
-    record: Record,
-    env: Tasking,
-    view: SatelliteGroup,
-    card: Mapping[str, Any],
-    part: Mapping[str, Any],
-    preset: str,
-    group: str,
-    shield: str | None,
+    graph: PolicyGraph, record: Record, env: Tasking, view: SatelliteGroup, part: Mapping[str, Any], about: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the contract of the policy of one group, values of JSON.
 
@@ -79,25 +72,20 @@ def contract_of(
         record: Its recorded decisions.
         env: The environment in which they were recorded.
         view: The satellites of the group.
-        card: Contents of the policy's file.
-        part: Its networks of this group.
-        preset: Name of the environment.
-        group: Name of the group.
-        shield: Name of the shield in the graph; None without one.
+        part: The networks of the group in the policy's file.
+        about: Name of the ``preset``, ``options`` of the environment, name of the ``group``, and of the ``shield``, None without.
     """
-    quantities = quantities_of(graph, record, view)
     seconds = record.seconds[record.seconds > 0.0].sort().values
+    mask, shield = [] if graph.is_real else ["mask"], about["shield"]
     return {
         "format": FORMAT,
         "bsk_torch": __version__,
-        "environment": {
-            "preset": preset,
-            "options": dict(card["options"]),
-            "fingerprint": env.fingerprint.tolist(),
-            "group": group,
+        "environment": about | {"fingerprint": env.fingerprint.tolist()},
+        "network": {
+            "kind": part["network"],
+            "hidden": list(part["plan"]["hidden"]),
+            "parameters": sum(weight.numel() for weight in graph.network.parameters()),
         },
-        "trained": {"preset": card["preset"], "bsk_torch": card["bsk_torch"]},
-        "network": {"kind": part["network"], "hidden": list(part["plan"]["hidden"]), "parameters": parameters(graph)},
         "weights_sha256": weights_hash(part),
         "inputs": [
             {"name": name, "type": "bool" if path == MASK else "float32", "shape": ["N", *record.inputs[path].shape[1:]]}
@@ -107,18 +95,14 @@ def contract_of(
             {"name": name, "type": str(value.dtype).removeprefix("torch."), "shape": ["N", *value.shape[1:]]}
             for name, value in record.outputs.items()
         ],
-        "observation": quantities,
+        "observation": quantities_of(graph, record, view),
         "actions": real_actions(view) if graph.is_real else numbered_actions(view),
         "decisions": {
             "when": "when a task ends or the satellite requires a new one; not at a fixed rate",
-            "recorded_seconds": {
-                name: number(seconds[round(share * (len(seconds) - 1))])
-                for name, share in (("least", 0.0), ("median", 0.5), ("most", 1.0))
-            },
+            "recorded_seconds": [number(seconds[round(share * (len(seconds) - 1))]) for share in (0.0, 0.5, 1.0)],
             "longest_seconds": env.max_step_duration if math.isfinite(env.max_step_duration) else None,
         },
-        "included": ["normalizer", "network", *([] if graph.is_real else ["mask"]), "choice of the most probable action"]
-        + ([f"shield {shield!r}"] if shield else []),
+        "included": ["normalizer", "network", *mask, *([f"shield {shield!r}"] if shield else []), "most probable action"],
         "not_included": not_included(view, shield),
         "record": {
             "margin": margin(graph, record),
@@ -140,11 +124,6 @@ def numbers(values: Tensor) -> Any:
     return [numbers(row) for row in values] if values.ndim > 1 else [number(value) for value in values.tolist()]
 
 
-def parameters(graph: PolicyGraph) -> int:
-    """Return the number of weights of the network."""
-    return sum(weight.numel() for weight in graph.network.parameters())
-
-
 def weights_hash(part: Mapping[str, Any]) -> str:
     """Return the SHA-256 of names and bytes of normalizer and network, in the order of the names."""
     digest = hashlib.sha256()
@@ -155,77 +134,59 @@ def weights_hash(part: Mapping[str, Any]) -> str:
 
 
 def margin(graph: PolicyGraph, record: Record) -> float | None:
-    """Return the least lead of a chosen action over the second legal one, in logits; None without a choice."""
-    if graph.is_real or graph.plan.n_actions < 2:
+    """Return the least lead of the highest logit of a legal action over the next one; None where there never are two."""
+    if graph.is_real or not bool((choices := record.inputs[MASK].sum(-1) > 1).any()):
         return None
-    lead = record.outputs["logits"].masked_fill(~record.inputs[MASK], -torch.inf).topk(2).values
-    return number((lead[:, 0] - lead[:, 1])[record.inputs[MASK].sum(-1) > 1].min()) if len(lead) else None
+    two = record.outputs["logits"].masked_fill(~record.inputs[MASK], -torch.inf)[choices].topk(2).values
+    return number((two[:, 0] - two[:, 1]).min())
 
 
 # -- observations ----------------------------------------------------------------------------------------------------------------
 
 
-def names_of(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> list[tuple[Path, str, int]]:
-    """Return the observed quantities: input, name and width of each, in order; those of a set once for all rows."""
-    if graph.rows is None:
-        widths: dict[str, int] = {}
-        for entry in view.observation_description:
-            widths[entry.split("[")[0]] = widths.get(entry.split("[")[0], 0) + 1
-        return [(graph.paths[0], name, width) for name, width in widths.items()]
-    quantities = []
-    for path in graph.paths[:-1]:
-        title = ".".join(path[1:])
-        if path[-1] == "rows":
-            source = source_of(view, title)
-            columns = source.columns()[0] if isinstance(source, CandidateObservation) else {}
-            parts = {name: column.shape[2] if column.ndim > 2 else 1 for name, column in columns.items()}
-            quantities += [(path, f"{title}.{name}", width) for name, width in parts.items()]
+def places_of(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> list[dict[str, Any]]:
+    """Return input, name, and place in the vector of the C code of each observed quantity; those of a set repeat in each row."""
+    places, start = [], 0
+    for path in (path for path in graph.paths if path != MASK):
+        value, title, (rows, stride) = record.inputs[path], ".".join(path[1:]), (1, 0)
+        if graph.rows is None:
+            widths: dict[str, int] = Counter(entry.split("[")[0] for entry in view.observation_description)
+        elif path[-1] == "rows":
+            columns = cast(CandidateObservation, source_of(view, title)).columns()[0]
+            widths = {f"{title}.{name}": column[0, 0].numel() for name, column in columns.items()}
+            rows, stride = value.shape[1:]
         else:
-            quantities.append((path, title, record.inputs[path][0].numel()))
-    return quantities
-
-
-def observed_names(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> list[str]:
-    """Return the name of each observed number that is not of a set, by its position in the vector."""
-    return [name for path, name, width in names_of(graph, record, view) if path[-1] not in ("rows", "mask") for _ in range(width)]
+            widths = {title: value[0].numel()}
+        first = start
+        for name, width in widths.items():
+            place = {"input": ".".join(path), "name": name, "vector": first, "width": width}
+            places.append(place | {"rows": rows, "row_stride": stride})
+            first += width
+        start += value[0].numel()
+    return places
 
 
 def quantities_of(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> list[dict[str, Any]]:
-    """Return the observed quantities in order, with their places in the inputs and in the vector of the C code."""
-    result, first, before = [], dict.fromkeys(graph.paths, 0), {}
-    total = 0
-    for path in graph.paths:
-        before[path] = total
-        total += record.inputs[path][0].numel()
-    own_low, own_high = graph.own.limits()
-    row_low, row_high = graph.rows.limits() if graph.rows is not None else ([], [])
-    for path, name, width in names_of(graph, record, view):
-        values, place = record.inputs[path], first[path]
-        is_set = graph.rows is not None and path[-1] == "rows"
-        seen = values[..., place : place + width] if is_set else values.reshape(len(values), -1)[:, place : place + width]
-        meaning, divisor = described(view, name)
-        unit = UNIT.search(meaning)
-        plain = name.split(".")[-1].removesuffix("_normd")
-        limits = (row_low, row_high, place) if is_set else (own_low, own_high, before[path] + place)
+    """Return the observed quantities in order, with their places, meanings and ranges."""
+    vectors, limits = record.vectors(), graph.limits()
+    result = []
+    for place in places_of(graph, record, view):
+        first, width, rows, stride = (place[name] for name in ("vector", "width", "rows", "row_stride"))
+        seen = vectors[:, [first + k * stride + j for k in range(rows) for j in range(width)]]
+        clipped = limits[:, first : first + width]
+        meaning, divisor = described(view, place["name"])
+        unit, plain = UNIT.search(meaning), place["name"].split(".")[-1].removesuffix("_normd")
         result.append(
-            {
-                "input": ".".join(path),
-                "name": name,
-                "first": place,
-                "width": width,
-                "vector": before[path] + place,
-                "rows": values.shape[1] if is_set else 1,
-                "row_stride": values.shape[2] if is_set else 0,
+            place
+            | {
                 "meaning": meaning,
                 "unit": unit.group(1) if unit else None,
-                "frame": FRAMES.get(plain.rpartition("_")[2]) if width == 3 and "_" in plain else None,
+                "frame": FRAMES.get(plain.rpartition("_")[2]) if width == 3 else None,
                 "divisor": divisor,
                 "recorded": [number(seen.min()), number(seen.max())],
-                "clipped_below": None if path[-1] == "mask" else [number(x) for x in limits[0][limits[2] : limits[2] + width]],
-                "clipped_above": None if path[-1] == "mask" else [number(x) for x in limits[1][limits[2] : limits[2] + width]],
+                "clipped": [number(clipped[0].min()), number(clipped[1].max())] if clipped.numel() else None,
             }
         )
-        first[path] += width
     return result
 
 
@@ -325,8 +286,8 @@ def page(contract: Mapping[str, Any], files: Sequence[str]) -> str:
         f"- files: {', '.join(f'`{name}`' for name in files)}",
         f"- included: {'; '.join(contract['included'])}",
         f"- **not included: {'; '.join(contract['not_included']) or 'nothing'}**",
-        f"- decisions: {decisions['when']}. Seconds between recorded ones: {span(decisions['recorded_seconds'])}; "
-        f"longest step of the environment: {cell(decisions['longest_seconds']) or 'unlimited'}.",
+        f"- decisions: {decisions['when']}. Least, median and most seconds between recorded ones: "
+        f"{cell(decisions['recorded_seconds'])}; longest step: {cell(decisions['longest_seconds']) or 'unlimited'}.",
         "",
         "## Inputs and outputs",
         "",
@@ -340,7 +301,7 @@ def page(contract: Mapping[str, Any], files: Sequence[str]) -> str:
         "",
         *rows(
             ("vector", "name", "width", "rows", "unit", "frame", "divisor", "recorded", "clipped", "meaning"),
-            [quantity | {"clipped": clipped(quantity)} for quantity in contract["observation"]],
+            contract["observation"],
         ),
         "",
         "## Actions",
@@ -349,28 +310,11 @@ def page(contract: Mapping[str, Any], files: Sequence[str]) -> str:
         "",
         "## Record",
         "",
-        f"{len(contract['record']['outputs']['action'])} decisions of recorded flights, with all inputs and outputs, are in",
-        "`contract.json`. " + lead(contract["record"]["margin"]),
+        f"`contract.json` has all inputs and outputs of {len(contract['record']['outputs']['action'])} decisions in flight.",
+        f"Least lead of a highest logit over the next one: {cell(contract['record']['margin']) or 'none, for want of a choice'}.",
         "",
     ]
     return "\n".join(lines)
-
-
-def span(seconds: Mapping[str, float]) -> str:
-    """Return least, median and most seconds as text."""
-    return ", ".join(f"{name} {value:g}" for name, value in seconds.items())
-
-
-def lead(margin: float | None) -> str:
-    """Return a sentence about the least lead of chosen actions."""
-    return "" if margin is None else f"Least lead of a chosen action over the next legal one: {margin:.2g} in logits."
-
-
-def clipped(quantity: Mapping[str, Any]) -> list[float] | None:
-    """Return the widest range outside which all numbers of a quantity are clipped."""
-    if quantity["clipped_below"] is None:
-        return None
-    return [min(quantity["clipped_below"]), max(quantity["clipped_above"])]
 
 
 def rows(columns: Sequence[str], values: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.files import write_file
 from bsk_torch.lab.export.c_code import c_files
-from bsk_torch.lab.export.contract import contract_of, observed_names, page
+from bsk_torch.lab.export.contract import contract_of, page, places_of
 from bsk_torch.lab.export.files import check_onnx, onnx_file, program_of, torch_file
 from bsk_torch.lab.export.graph import PolicyGraph
 from bsk_torch.lab.export.record import recorded
@@ -78,13 +78,14 @@ def export_policy(
         rule = find_rule(shield)
         for group, graph in graphs.items():
             satellite = views[group].satellite
-            names = observed_names(graph, records[group], satellite)
-            graph.only = conditions(rule, shield, names, satellite.action_description)
+            places = places_of(graph, records[group], satellite)
+            graph.only = conditions(rule, shield, places, satellite.action_description)
         records = recorded(env, policies, graphs)
     contracts, files = {}, {}
     for group, graph in graphs.items():
         record, satellite = records[group], views[group].satellite
-        contract = contract_of(graph, record, env, satellite, card, parts[group], name, group, shield)
+        about = {"preset": name, "options": dict(card["options"]), "group": group, "shield": shield}
+        contract = contract_of(graph, record, env, satellite, parts[group], about)
         made: dict[str, bytes | str] = {}
         if "onnx" in forms or "torch" in forms:
             program = program_of(graph, record)

@@ -6,7 +6,7 @@ import io
 import json
 import logging
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -94,11 +94,3 @@ def onnx_file(program: ExportedProgram, graph: PolicyGraph, contract: Mapping[st
     entry = model.metadata_props.add()
     entry.key, entry.value = KEY, json.dumps(contract)
     return model.SerializeToString()
-
-
-def foreign_operators(content: bytes) -> Sequence[str]:
-    """Return operators of an ONNX file that are not of the standard."""
-    import onnx
-
-    model = onnx.load_from_string(content)
-    return sorted({f"{node.domain}:{node.op_type}" for node in model.graph.node if node.domain not in ("", "ai.onnx")})

@@ -43,11 +43,10 @@ class Standard(nn.Module):
         """Return the standardized features, [..., F]."""
         return ((symlog(x) - self.mean) / self.deviation).clamp(-LARGEST, LARGEST)
 
-    def limits(self) -> tuple[list[float], list[float]]:
-        """Return the observations below and above which features are clipped, F numbers each."""
-        ends = (self.mean.double() + side * LARGEST * self.deviation.double() for side in (-1.0, 1.0))
-        low, high = ((end.sign() * torch.expm1(end.abs())).tolist() for end in ends)
-        return low, high
+    def limits(self) -> Tensor:
+        """Return the observations below and above which features are clipped, [2, F] float64."""
+        ends = self.mean.double() + torch.tensor([[-LARGEST], [LARGEST]]) * self.deviation.double()
+        return ends.sign() * torch.expm1(ends.abs())
 
 
 class PolicyGraph(nn.Module):
@@ -101,6 +100,10 @@ class PolicyGraph(nn.Module):
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs."""
         return ("action",) if self.is_real else ("action", "logits")
+
+    def limits(self) -> Tensor:
+        """Return the ranges outside which numbers of the vector, and of a set's first row after it, are clipped, [2, D]."""
+        return torch.cat([self.own.limits(), *([] if self.rows is None else [self.rows.limits()])], -1)
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Return the outputs for inputs [N, ...] each."""

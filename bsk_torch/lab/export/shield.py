@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,13 +29,13 @@ class Only(NamedTuple):
     action: int
 
 
-def conditions(rule: Rule, name: str, observed: Sequence[str], actions: Sequence[str]) -> tuple[Only, ...]:
+def conditions(rule: Rule, name: str, places: Sequence[Mapping[str, Any]], actions: Sequence[str]) -> tuple[Only, ...]:
     """Return what a rule asks, in order: the first condition that holds counts.
 
     Args:
         rule: A rule of :mod:`bsk_torch.rl.rules.shield`.
         name: Its name, for messages.
-        observed: Name of each observed number.
+        places: Observed quantities, see :func:`~bsk_torch.lab.export.contract.places_of`.
         actions: Name of each action.
 
     Raises:
@@ -52,7 +52,8 @@ def conditions(rule: Rule, name: str, observed: Sequence[str], actions: Sequence
             raise ValueError(f"shield={name!r} is a function of Python, which is not exported; 'safe' and 'imager' are")
     found = []
     for quantity, absolute, sign, threshold, action in table:
-        columns = tuple(k for k, entry in enumerate(observed) if entry.split("[")[0].split(".")[-1] == quantity)
+        seen = [place for place in places if place["name"].split(".")[-1] == quantity]
+        columns = tuple(place["vector"] + j for place in seen for j in range(place["width"]))
         for what, exists in ((quantity, bool(columns)), (action, action in actions)):
             if not exists:
                 raise ValueError(f"shield={name!r} needs {what!r}, which the environment does not have")

@@ -13,7 +13,6 @@ from bsk_torch.cli import app
 from bsk_torch.env.rollout import decide
 from bsk_torch.lab.export import export_policy
 from bsk_torch.lab.export.contract import KEY, weights_hash
-from bsk_torch.lab.export.files import foreign_operators
 from bsk_torch.rl.networks.plans import GRUPlan
 from bsk_torch.rl.policies.files import build_policy, read_card, save_policy
 from bsk_torch.rl.rules.shield import RULES, shielded
@@ -37,13 +36,13 @@ def test_graphs_decide_as_the_package_does_bit_for_bit(exported, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_files_of_onnx_and_torch_decide_alike_and_hold_the_contract(exported, kind, tmp_path):
-    onnxruntime = pytest.importorskip("onnxruntime")
+    onnx, onnxruntime = (pytest.importorskip(name) for name in ("onnx", "onnxruntime"))
     policy = exported(kind)
     contracts = export_policy(policy.file, tmp_path, ["onnx", "torch"])
     for group, graph in policy.graphs().items():
         folder = tmp_path / ("" if len(contracts) == 1 else group)
         content, contract = (folder / "policy.onnx").read_bytes(), contracts[group]
-        assert not foreign_operators(content)
+        assert {node.domain for node in onnx.load_from_string(content).graph.node} <= {"", "ai.onnx"}
         session, extra = onnxruntime.InferenceSession(content), {KEY: ""}
         module = torch.export.load(folder / "policy.pt2", extra_files=extra).module()
         assert contract == json.loads((folder / "contract.json").read_text())
@@ -79,7 +78,7 @@ def test_the_contract_tells_what_each_number_is(exported):
         assert row["recorded"] == pytest.approx([float(whole[:, places].min()), float(whole[:, places].max())])
     assert [row["seconds"] for row in contract["actions"][:4]] == [60.0, 60.0, 60.0, None]
     assert "shield of the environment" in contract["not_included"][0]
-    assert contract["decisions"]["recorded_seconds"]["least"] > 0.0
+    assert contract["decisions"]["recorded_seconds"][0] > 0.0
     assert contract["environment"]["options"] == KINDS["attention"][1]
 
 
