@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from bsk_torch.cli.declaration import OfPreset, Policy, flag
+from bsk_torch.cli.declaration import OfPreset, flag
 from bsk_torch.cli.names import FIRST, PRETRAINED
 from bsk_torch.cli.shared import check_writable
 from bsk_torch.cli.terminal import echo, fail, refusing, working
 
 
 def export_policy(
-    policy: Policy,
+    policy: Annotated[str, typer.Argument(help="Run folder, policy file, or 'pretrained'.", show_default=False)],
     out: Annotated[Path, flag("DIR", "Folder for the files.", "--out")],
     preset: OfPreset = None,
     onnx: Annotated[bool, typer.Option("--onnx", help="Write policy.onnx. Needs the extra onnx.")] = False,
