@@ -207,6 +207,10 @@ scripts/validation/drift.py --releases installed --presets NadirScan-v1 --seeds 
   basilisk: NadirScan-v1 on [\d.]+: the first to fly; .*storage, bit 0.0e\+00 \(0.0e\+00\), .*reward 0.0e\+00
 scripts/validation/fly_on_basilisk.py rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json
   basilisk: the same 1 episodes in bsk_torch and in Basilisk
+scripts/validation/fly_exported.py {root}/bsk_torch/rl/policies/NadirScan-v1.pt --here 0:2 --seeds none
+  compiled: (?s)64 of 64 recorded decisions agree, .*2 episodes in bsk_torch: (\d+) of \1 decisions the same
+scripts/validation/fly_exported.py {root}/bsk_torch/rl/policies/NadirScan-v1.pt --here 0:1 --seeds 1:2
+  basilisk: 1 episodes on Basilisk, flown by the C code: (\d+) of \1 decisions the same
 """
 """Scripts with their arguments, and below each what it needs and a regular expression of its output."""
 

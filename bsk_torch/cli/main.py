@@ -56,6 +56,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "List when satellites are above places on the ground, by SGP4 and the WGS84 ellipsoid.",
     ),
     "export": ("bsk_torch.viewer.commands:export", "Write an episode of a preset, a run or a recording to a file."),
+    "export-policy": (
+        "bsk_torch.lab.commands.export_policy:export_policy",
+        "Export a trained policy for flight software and other programs: network, normalizer, mask and choice of the action.",
+    ),
     "explain": (
         "bsk_torch.lab.commands.explain:explain_failures",
         "Find actions that would have saved each lost satellite, or prove that none exist.",

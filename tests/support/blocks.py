@@ -23,6 +23,7 @@ SHORT = {
     "view": "--time-limit 300",
     "schedule": "",
     "explain": "--seeds 0:1",
+    "export-policy": "--time-limit 1200",
     "bench": "--episodes 1",
     "leaderboard": "",
     "dataset": "--seeds 0:4 --time-limit 1200",

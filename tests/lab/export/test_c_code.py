@@ -1,0 +1,74 @@
+"""The C code decides as the package does."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bsk_torch.env.rollout import decide
+from bsk_torch.lab.export.c_code import literal
+from bsk_torch.lab.export.graph import MASK, flat
+from tests.lab.export.conftest import KINDS, compiled, situations
+
+pytestmark = pytest.mark.compiled
+
+TIE = 1e-4
+"""Lead of an action, in logits, below which rounding may decide."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_repeats_the_record_and_decides_alike_in_any_situation(exported, kind):
+    policy = exported(kind)
+    for group, graph in policy.graphs().items():
+        contract = policy.contracts[group]
+        act, replay = compiled(policy.folders[group])
+        n = len(contract["record"]["outputs"]["action"])
+        assert n >= 15
+        assert replay.startswith(f"{n} of {n} recorded decisions agree")
+        inputs = situations(graph, contract)
+        package = decide(policy.policies()[group], TensorDict(dict(zip(graph.paths, inputs, strict=True)), [200]))
+        parts = [part for path, part in zip(graph.paths, inputs, strict=True) if path != MASK]
+        if graph.is_real:
+            width = package["action"].shape[1]
+            _, out = act(flat(parts), torch.ones(200, 1), width)
+            assert torch.allclose(out, package["action"], rtol=0.0, atol=1e-5)
+            assert package["action"].std() > 0.1
+            continue
+        chosen, logits = act(flat(parts), inputs[-1], package["logits"].shape[1])
+        assert torch.allclose(logits, package["logits"], rtol=1e-5, atol=TIE / 2)
+        ours, theirs = (package["logits"].gather(1, x[:, None]) for x in (package["action"], chosen))
+        assert bool(inputs[-1].gather(1, chosen[:, None]).all())
+        assert float((ours - theirs).abs().max()) < TIE
+        assert int((chosen != package["action"]).sum()) <= 1
+        assert len(chosen.unique()) > 0.8 * graph.plan.n_actions
+
+
+def test_it_refuses_what_flight_software_must_not_act_on(exported):
+    policy = exported("mlp")
+    act, _ = compiled(policy.folders["agents"])
+    good = torch.tensor(policy.contracts["agents"]["record"]["inputs"]["observation"][:1])
+    assert act(good, torch.zeros(1, 4), 4)[0].tolist() == [-1]
+    for wrong in (torch.nan, torch.inf, -torch.inf):
+        for column in (0, good.shape[1] - 1):
+            broken = good.clone()
+            broken[0, column] = wrong
+            assert act(broken, torch.ones(1, 4), 4)[0].tolist() == [-2]
+
+
+def test_constants_are_read_as_the_same_float32():
+    values = torch.cat([torch.randn(500), torch.tensor([0.0, 1.0, -3.0, 1e10, 1e-38, 16777216.0, 3.4e38])])
+    texts = [literal(value) for value in values.tolist()]
+    assert all(text.endswith("f") and any(sign in text for sign in ".e") for text in texts)
+    assert torch.equal(torch.tensor([float(text[:-1]) for text in texts]), values)
+
+
+def test_weights_and_code_are_small_and_allocate_nothing(exported):
+    for kind in KINDS:
+        for folder in exported(kind).folders.values():
+            source = (folder / "policy.c").read_text()
+            assert "alloc" not in source
+            assert [line for line in source.splitlines() if line.startswith("#include")] == [
+                '#include "policy.h"',
+                "#include <float.h>",
+                "#include <math.h>",
+                "#include <stddef.h>",
+            ]
