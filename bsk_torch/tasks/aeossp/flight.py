@@ -52,6 +52,9 @@ EARLY = 2.0
 
 REASONS = ("pointing", "rate", "off_nadir", "battery")
 
+UTC = "%Y-%m-%dT%H:%M:%S.%fZ"
+"""Format of the epoch of a case."""
+
 POWERS = ("case", "wheels")
 """What slews draw from the battery."""
 
@@ -153,13 +156,14 @@ def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int
 def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power: str, tick: float) -> Simulator:
     """Return the simulation of some satellites of a case at the start of the horizon; they look at nadir."""
     kind = Flyer if power == "case" else WheelPowerFlyer
-    arguments = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
-    wheels = arguments[0]["wheels"]  # each satellite has its own numbers
+    arguments = crew_arguments(case, crew, tick, factors, power)
+    for row in arguments:
+        del row["maxWheelSpeed"]
     env = ConstellationTasking(
-        [kind(f"Satellite{number}", row | {"wheels": wheels}) for number, row in zip(crew, arguments, strict=True)],
+        [kind(f"Satellite{number}", row) for number, row in zip(crew, arguments, strict=True)],
         scenario=scene.Scenario(),
         rewarder=data.NoReward(),
-        world_args={"utc_init": case.start.strftime("%Y-%m-%dT%H:%M:%S.%fZ")},
+        world_args={"utc_init": case.start.strftime(UTC)},
         num_envs=1,
         time_limit=float(case.horizon_s),
         sim_rate=tick,
@@ -181,8 +185,15 @@ def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
     }
 
 
+def crew_arguments(
+    case: Case, crew: Sequence[int], tick: float, factors: NDArray[np.float64], power: str = "case"
+) -> list[dict[str, Any]]:
+    """Return the arguments of satellites ``crew``: orbits, wheels of their slew limits, times ``factors``, and batteries."""
+    rows = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
+    return [row | {"wheels": rows[0]["wheels"]} for row in rows]  # of which each satellite has its own numbers
+
+
 def _arguments(case: Case, number: int, factor: float, power: str, tick: float) -> dict[str, Any]:
-    """Return the arguments of a satellite: its orbit, the wheels of its slew limits, times a factor, and its battery."""
     satellite = case.satellites[number]
     spacecraft = craft.from_slew_limits(
         factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick
@@ -190,7 +201,7 @@ def _arguments(case: Case, number: int, factor: float, power: str, tick: float) 
     numbers = {name: tuple(values) for name, values in wheel_defaults(spacecraft["wheels"]).items()}
     (elements,) = read_tle(f"{satellite.line1}\n{satellite.line2}", gravity="wgs84")
     return {
-        **{name: value for name, value in spacecraft.items() if name != "maxWheelSpeed"},
+        **spacecraft,
         **{name: numbers[name] for name in ("u_max", "rwJs")},
         "oe": elements,
         **_at_nadir(elements, parse_utc(case.start)),
