@@ -57,7 +57,10 @@ def balance_power(bus: Bus) -> None:
 class CaseDynModel(ImagingDynModel):
     """A rigid body with wheels and the battery and powers of a case."""
 
-    components: ClassVar[tuple[Component, ...]] = (dataclasses.replace(CASE_POWER, update=balance_power),)
+    components: ClassVar[tuple[Component, ...]] = (
+        dataclasses.replace(CASE_POWER, update=balance_power),
+        Component(slot="wheel_power"),
+    )
 
 
 class CaseFSWModel(LookFSWModel, ReferenceSlewFSWModel):
@@ -105,7 +108,7 @@ def case_env(case: Case | str | Path, num_envs: int = 1, *, tick: float = TICK, 
         ValueError: For another content of the files.
     """
     case = case if isinstance(case, Case) else read_case(case)
-    given: dict[str, Any] = dict(time_limit=float(case.horizon_s), world_args={"utc_init": case.start.strftime(UTC)})
+    given = dict(time_limit=float(case.horizon_s), world_args={"utc_init": case.start.strftime(UTC)}, orbit="sgp4")
     return _env(case, _imaging_arguments(case, tick), _requests(case), tick, num_envs, given | options)
 
 
@@ -146,7 +149,7 @@ def drawn_case_env(
         row["oe"] = rand.Choice(orbits[satellite.sensor])
         del row["sigma_init"], row["omega_init"]
     starts = [(case.start + timedelta(hours=hour)).strftime(UTC) for hour in range(0, 48, 6)]
-    given: dict[str, Any] = dict(time_limit=HOUR * hours, world_args={"utc_init": rand.Choice(starts)})
+    given = dict(time_limit=HOUR * hours, world_args={"utc_init": rand.Choice(starts)})
     return _env(case, arguments, requests, tick, num_envs, given | options)
 
 
@@ -159,11 +162,10 @@ def _env(
     options: dict[str, Any],
 ) -> ConstellationTasking:
     satellites = [
-        CaseImager(satellite.name, row, sensor_types=[satellite.sensor])
+        CaseImager(satellite.name, row, sensor_types=[satellite.sensor], obs_type=dict)
         for satellite, row in zip(case.satellites, arguments, strict=True)
     ]
-    given = dict(num_envs=num_envs, sim_rate=tick, orbit="sgp4")
-    return ConstellationTasking(satellites, requests, data.RequestReward(), **(given | options))
+    return ConstellationTasking(satellites, requests, data.RequestReward(), num_envs=num_envs, sim_rate=tick, **options)
 
 
 def _imaging_arguments(case: Case, tick: float) -> list[dict[str, Any]]:

@@ -26,12 +26,11 @@ from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.astro.element_sets import ElementSet
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import hill_frame
-from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.dyn.effectors.wheel_set import wheel_defaults
 from bsk_torch.sim.names import one_of
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.tasks.aeossp.files import Case, Observations
-from bsk_torch.tasks.aeossp.geometry import Numbers, on_ellipsoid, tracks
+from bsk_torch.tasks.aeossp.geometry import Numbers, elements, on_ellipsoid, tracks
 from bsk_torch.tasks.aeossp.models import HOLD_MODE, LOOK_MODE, FlownDynModel, FlownFSWModel, WheelPowerDynModel
 from bsk_torch.tasks.aeossp.rules import find_slews
 from bsk_torch.vec3 import Vec3
@@ -175,9 +174,9 @@ def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power:
     return simulator
 
 
-def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
+def _at_nadir(orbit: ElementSet, et: float) -> dict[str, Any]:
     """Return the attitude and the rate, rad/s, with which B turns as the Hill frame does, at ET, s."""
-    r, v = elements.state_at(torch.tensor([et], dtype=torch.float64))
+    r, v = orbit.state_at(torch.tensor([et], dtype=torch.float64))
     rate = torch.linalg.cross(r, v).norm() / r.square().sum()
     return {
         "sigma_init": dcm_to_mrp(hill_frame(Vec3.of(r), Vec3.of(v))).stack()[0].tolist(),
@@ -199,12 +198,11 @@ def _arguments(case: Case, number: int, factor: float, power: str, tick: float) 
         factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick
     )
     numbers = {name: tuple(values) for name, values in wheel_defaults(spacecraft["wheels"]).items()}
-    (elements,) = read_tle(f"{satellite.line1}\n{satellite.line2}", gravity="wgs84")
     return {
         **spacecraft,
         **{name: numbers[name] for name in ("u_max", "rwJs")},
-        "oe": elements,
-        **_at_nadir(elements, parse_utc(case.start)),
+        "oe": elements(satellite),
+        **_at_nadir(elements(satellite), parse_utc(case.start)),
         "idlePower": satellite.idle_w,
         "imagingPower": satellite.imaging_w,
         "slewPower": satellite.slew_w if power == "case" else 0.0,
