@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import json
 import zipfile
 import zlib
@@ -16,7 +17,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from reprlib import repr as _short
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
 
 import torch
 from annotated_types import Interval, Predicate
@@ -158,76 +159,109 @@ def _place(parts: tuple[int | str, ...]) -> str:
 # -- YAML ---------------------------------------------------------------------------------------------------------------------
 
 
-def parse_yaml(content: bytes, schema: type[Schema]) -> Schema:
-    """Return YAML as a ``schema``, likewise.
+class Node(NamedTuple):
+    """A value in YAML: its line, counted from 1, and the number, text or None, or the nodes in it."""
 
-    Keys are text and occur once. Times without quotes are text, too. ValueError, with the line, for other content, and for
-    aliases, tags, and more values or levels than :data:`MOST_YAML` and :data:`DEEPEST_YAML`.
-    """
-    import yaml
+    line: int
+    value: object
+
+
+def parse_yaml(content: bytes, schema: type[Schema]) -> Schema:
+    """Return YAML as a ``schema``, likewise; ValueError with the line, see :func:`read_yaml`."""
     from pydantic import ValidationError
 
+    node = read_yaml(content)
     try:
-        _check_yaml(content)
-        node = yaml.compose(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        values = json.dumps(_plain(node, yaml.constructor.SafeConstructor()))
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        raise ValueError(one_line(f"{line}{error.problem or error}")) from None
-    except yaml.YAMLError as error:
-        raise ValueError(one_line(str(error))) from None
-    try:
-        return _root(cast(Hashable, schema)).model_validate_json(values).root
+        return _root(cast(Hashable, schema)).model_validate_json(json.dumps(_plain(node))).root
     except ValidationError as error:
         first = error.errors(include_url=False)[0]["loc"] if error.error_count() <= MOST_ERRORS else ()
         raise ValueError(one_line(f"line {_line(node, first)}: {_reason(error)}")) from None
 
 
-def _check_yaml(content: bytes) -> None:
-    """Raise ValueError for YAML that is larger, when read, than it looks."""
+def read_yaml(content: bytes, *, typed: bool = True, most: int = MOST_YAML) -> Node:
+    """Return the content of a file in YAML.
+
+    Keys are text and occur once. Times without quotes are text, and all values but None are if they are not ``typed``. ValueError,
+    with the line, for other content, and for anchors, aliases, tags, and more than ``most`` values or :data:`DEEPEST_YAML` levels.
+    """
     import yaml
 
-    depth = values = 0
-    for event in yaml.parse(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
-        values += isinstance(event, yaml.NodeEvent)
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        line = event.start_mark.line + 1
-        if values > MOST_YAML or depth > DEEPEST_YAML:
-            raise ValueError(f"line {line}: it has more than {MOST_YAML:,} values, or more than {DEEPEST_YAML} levels")
-        if isinstance(event, yaml.AliasEvent):
-            raise ValueError(f"line {line}: it has aliases of YAML")
-        if getattr(event, "tag", None) is not None:
+    try:
+        return _YamlReader(content, typed, most).document()
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ValueError(one_line(f"{line}{error.problem or error}")) from None
+    except yaml.YAMLError as error:
+        raise ValueError(one_line(str(error))) from None
+
+
+class _YamlReader:
+    """Reads YAML from its events, so that it is checked before it is built."""
+
+    def __init__(self, content: bytes, typed: bool, most: int) -> None:
+        import yaml
+
+        self.yaml, self.typed, self.most, self.count = yaml, typed, most, 0
+        self.constructor, self.resolver = yaml.constructor.SafeConstructor(), yaml.resolver.Resolver()
+        self.events = yaml.parse(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+    def document(self) -> Node:
+        outside = self.yaml.StreamStartEvent, self.yaml.DocumentStartEvent
+        first = next(event for event in self.events if not isinstance(event, outside))
+        if isinstance(first, self.yaml.StreamEndEvent):
+            return Node(1, None)
+        node, _ = self.node(first, 1), next(self.events)
+        following = next(self.events)
+        if not isinstance(following, self.yaml.StreamEndEvent):
+            raise ValueError(f"line {following.start_mark.line + 1}: it has a second document")
+        return node
+
+    def node(self, event: Any, level: int) -> Node:
+        yaml, line = self.yaml, event.start_mark.line + 1
+        self.count += 1
+        if self.count > self.most or level > DEEPEST_YAML + isinstance(event, yaml.ScalarEvent):
+            raise ValueError(f"line {line}: it has more than {self.most:,} values, or more than {DEEPEST_YAML} levels")
+        if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
+            raise ValueError(f"line {line}: it has anchors or aliases of YAML; values are literal")
+        if event.tag is not None:
             raise ValueError(f"line {line}: it has the tag {event.tag!r:.80} of YAML; values are literal")
+        if isinstance(event, yaml.ScalarEvent):
+            return Node(line, self.scalar(event))
+        if isinstance(event, yaml.SequenceStartEvent):
+            parts = iter(lambda: next(self.events), None)
+            ends = yaml.SequenceEndEvent
+            return Node(line, [self.node(part, level + 1) for part in itertools.takewhile(lambda e: not isinstance(e, ends), parts)])
+        values: dict[str, Node] = {}
+        while not isinstance(key := next(self.events), yaml.MappingEndEvent):
+            name = self.node(key, level + 1)
+            if not isinstance(key, yaml.ScalarEvent) or key.value in values:
+                raise ValueError(f"line {name.line}: the key {_short(getattr(key, 'value', name.value))} is no text, or there twice")
+            values[key.value] = self.node(next(self.events), level + 1)
+        return Node(line, values)
+
+    def scalar(self, event: Any) -> object:
+        tag = self.resolver.resolve(self.yaml.ScalarNode, event.value, event.implicit)
+        is_text = tag.endswith((":str", ":timestamp", ":value", ":merge"))
+        if is_text or not (self.typed or tag.endswith(":null")):
+            return event.value
+        return self.constructor.construct_object(self.yaml.ScalarNode(tag, event.value))
 
 
-def _plain(node: Any, constructor: Any) -> object:
-    """Return the value of a node of YAML, in dictionaries and lists."""
-    if node is None:
-        return None
-    if node.id == "sequence":
-        return [_plain(part, constructor) for part in node.value]
-    if node.id == "scalar":
-        is_text = node.tag.endswith((":str", ":timestamp", ":value", ":merge"))
-        return node.value if is_text else constructor.construct_object(node)
-    values: dict[str, object] = {}
-    for key, part in node.value:
-        if key.id != "scalar" or key.value in values:
-            raise ValueError(f"line {key.start_mark.line + 1}: the key {_short(key.value)} is no text, or occurs twice")
-        values[key.value] = _plain(part, constructor)
-    return values
+def _plain(node: Node) -> object:
+    """Return the value of a node in dictionaries and lists."""
+    if isinstance(node.value, dict):
+        return {key: _plain(part) for key, part in node.value.items()}
+    return [_plain(part) for part in node.value] if isinstance(node.value, list) else node.value
 
 
-def _line(node: Any, place: tuple[int | str, ...]) -> int:
+def _line(node: Node, place: tuple[int | str, ...]) -> int:
     """Return the line of the entry at ``place``, or of the innermost part around it that exists."""
     for part in place:
-        if node is not None and node.id == "mapping":
-            inner = next((value for key, value in node.value if key.value == part), None)
-        else:
-            inner = node.value[part] if node is not None and node.id == "sequence" and isinstance(part, int) else None
-        if inner is None:
+        try:
+            node = cast(Any, node.value)[part]
+        except (KeyError, IndexError, TypeError):
             break
-        node = inner
-    return node.start_mark.line + 1 if node is not None else 1
+    return node.line
 
 
 # -- bytes --------------------------------------------------------------------------------------------------------------------

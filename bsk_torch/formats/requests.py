@@ -33,13 +33,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from bsk_torch.sim.names import nearest
-from bsk_torch.untrusted import Json, one_line, parse_json, read_bytes
+from bsk_torch.untrusted import Json, Node, one_line, parse_json, read_bytes, read_yaml
 
 MOST_BYTES, MOST_REQUESTS = 2**26, 100_000
 """Largest file, bytes, and most requests in it."""
+
+MOST_VALUES = 40 * MOST_REQUESTS
+"""Most values in a file in YAML: each field has a name and some."""
 
 NAMES = {
     "id": ("task_id", "request_id"),
@@ -78,9 +80,6 @@ BOUNDS: dict[str, tuple[float, float, float, str]] = {
 """Default, smallest and largest number, and unit, of each field."""
 
 TIMES = ("release", "due")
-
-NULL, QUOTES = ("", "~", "null"), ("'", '"')
-"""Texts that stand for no value in YAML, unless they are quoted."""
 
 
 @dataclass(frozen=True)
@@ -189,53 +188,24 @@ def _text(content: bytes) -> str:
 
 
 def _yaml_entries(content: bytes) -> Iterator[Entry]:
-    """Yield the requests of YAML from its events: nothing is constructed but text, and aliases do not multiply it."""
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    try:
-        events = yaml.parse(_text(content), Loader=loader)
-        wanted = (event for event in events if not isinstance(event, yaml.StreamStartEvent | yaml.DocumentStartEvent))
-        first = next(wanted)
-        if isinstance(first, yaml.MappingStartEvent):
-            _list_name([_scalar(next(wanted))])
-            first = next(wanted)
-        if not isinstance(first, yaml.SequenceStartEvent):
-            raise ValueError(f"line {_line(first)}: there is no list of requests")
-        while not isinstance(event := next(wanted), yaml.SequenceEndEvent):
-            if not isinstance(event, yaml.MappingStartEvent):
-                raise ValueError(f"line {_line(event)}: there is no request with fields such as 'id' and 'latitude'")
-            yield Entry(f"line {_line(event)}", _yaml_fields(wanted), True)
-        if not isinstance(event := next(wanted), yaml.MappingEndEvent | yaml.DocumentEndEvent):
-            raise ValueError(f"line {_line(event)}: something follows the list of requests")
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        raise ValueError(f"line {mark.line + 1 if mark else 1}: {getattr(error, 'problem', None) or 'it is no YAML'}") from None
+    """Yield the requests of YAML; numbers are text, so that an identifier may look like one."""
+    listed = read_yaml(content, typed=False, most=MOST_VALUES)
+    if isinstance(listed.value, dict):
+        listed = listed.value[_list_name(list(listed.value))]
+    if not isinstance(listed.value, list):
+        raise ValueError(f"line {listed.line}: there is no list of requests")
+    for node in listed.value:
+        if not isinstance(node.value, dict):
+            raise ValueError(f"line {node.line}: there is no request with fields such as 'id' and 'latitude'")
+        yield Entry(f"line {node.line}", {name: _plain(value) for name, value in node.value.items()}, True)
 
 
-def _yaml_fields(events: Iterator[Any]) -> dict[str, object]:
-    fields: dict[str, object] = {}
-    while not isinstance(event := next(events), yaml.MappingEndEvent):
-        name, value = _scalar(event), next(events)
-        if name in fields:
-            raise ValueError(f"line {_line(event)}: {name!r} is there twice")
-        if isinstance(value, yaml.SequenceStartEvent):
-            parts: list[str] = []
-            while not isinstance(part := next(events), yaml.SequenceEndEvent):
-                parts.append(_scalar(part))
-            fields[name] = parts
-        elif (written := _scalar(value)) not in NULL or value.style in QUOTES:
-            fields[name] = written
-    return fields
-
-
-def _scalar(event: Any) -> str:
-    if not isinstance(event, yaml.ScalarEvent) or event.tag is not None or event.anchor is not None:
-        what = "an alias" if isinstance(event, yaml.AliasEvent) else "a tag" if getattr(event, "tag", None) else "no plain value"
-        raise ValueError(f"line {_line(event)}: {what} of YAML stands where text or a number must")
-    return str(event.value)
-
-
-def _line(event: Any) -> int:
-    return int(event.start_mark.line) + 1
+def _plain(node: Node) -> object:
+    """Return the text of a field, or its list of texts."""
+    parts = [node] if not isinstance(node.value, list) else node.value
+    if any(isinstance(part.value, dict | list) for part in parts):
+        raise ValueError(f"line {node.line}: a list or mapping of YAML stands where text or a number must")
+    return [part.value for part in parts] if isinstance(node.value, list) else node.value
 
 
 # -- fields -------------------------------------------------------------------------------------------------------------------

@@ -27,6 +27,19 @@ def orbit_windows() -> str:
     return table(["orbit", "times compared", "rms", "worst"], rows)
 
 
+def orbit_samples() -> str:
+    """Return the differences of the sample satellites' positions and windows, and those of all of them."""
+    found = load("real_orbits")["samples"]
+    rows = [
+        [name, f"{away['rms']:,.0f} m", f"{away['worst']:,.0f} m", str(edges["count"]), f"{edges['rms']:.2f} s", f"{edges['worst']:.2f} s"]
+        for name, away, edges in zip(found["names"], found["positions"], found["windows"], strict=True)
+    ]
+    everywhere, worst = found["all"], max(away["worst"] for away in found["positions"])
+    times = [f"{everywhere['count']:,}", f"{everywhere['rms']:.2f} s", f"{everywhere['worst']:.2f} s"]
+    rows.append(["all", "", f"{worst:,.0f} m", *times])
+    return table(["catalog number", "position, rms", "worst", "times compared", "rms", "worst"], rows)
+
+
 def orbit_others() -> str:
     """Return the other quantities, and how they were made."""
     result = load("real_orbits")
@@ -45,4 +58,9 @@ def orbit_others() -> str:
     return f"{table(['quantity', 'compared', 'rms', 'worst'], rows)}\n\n{command}\n\nMade with {versions}.\n"
 
 
-TABLES = {"orbit_positions": orbit_positions, "orbit_windows": orbit_windows, "orbit_others": orbit_others}
+TABLES = {
+    "orbit_positions": orbit_positions,
+    "orbit_windows": orbit_windows,
+    "orbit_samples": orbit_samples,
+    "orbit_others": orbit_others,
+}

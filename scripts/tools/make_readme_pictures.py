@@ -59,6 +59,9 @@ THUMBNAIL, THUMBNAIL_TIME, DAYLIGHT = 200, 1500.0, 0.35
 """Width and height of a thumbnail, pixels; it shows the first decision after so many seconds at which the cosine of the Sun's
 zenith angle below the first satellite is so large."""
 
+LATER = {"Areas-v1": 18_000.0}
+"""Presets whose thumbnail shows a later time: areas that have been recorded in earlier revolutions are in view."""
+
 ZOOM = 1.3
 """How much larger a single satellite is shown."""
 
@@ -162,7 +165,7 @@ def thumbnail(preset: str, path: Path) -> Path:
     """Write a thumbnail of a preset."""
     if preset in INSPECTIONS or preset in LINEAR:
         return paths_thumbnail(preset, path)
-    env = next(filter(is_bright, played(preset, THUMBNAIL_SEED)))
+    env = next(env for env in played(preset, THUMBNAIL_SEED) if is_bright(env, LATER.get(preset, THUMBNAIL_TIME)))
     frame = Image.fromarray(env.render(0, 4 * THUMBNAIL).numpy())
     middle, half = frame.height / 2, frame.height / (2 * ZOOM if env.fleet.size == 1 else 2)
     box = (middle - half, middle - half, middle + half, middle + half)
@@ -206,10 +209,10 @@ def linear_paths(preset: str, panel: Axes) -> None:
     panel.margins(0.08)
 
 
-def is_bright(env: Tasking) -> bool:
+def is_bright(env: Tasking, since: float = THUMBNAIL_TIME) -> bool:
     """Return whether an episode is in the moment that a thumbnail shows."""
     position, sun = env.satellites[0].dynamics.r_BN_N[0], env.simulator.world.sun_direction_N[0]
-    return float(env.fleet.sim_time[0]) >= THUMBNAIL_TIME and float(position @ sun / position.norm()) > DAYLIGHT
+    return float(env.fleet.sim_time[0]) >= since and float(position @ sun / position.norm()) > DAYLIGHT
 
 
 def speed(folder: Path) -> Path:

@@ -1,9 +1,10 @@
-"""Fly ten real orbits, and compare positions, access windows, eclipses and the Sun with Skyfield, ERFA and brahe.
+"""Fly real orbits, and compare positions, access windows, eclipses and the Sun with Skyfield, ERFA and brahe.
 
     python scripts/validation/real_orbits.py --out benchmarks/results/real_orbits.json
 
 `real_orbits.tle` holds the orbits: three sets of Space-Track of 2026-04-13, and seven of the verification cases of SGP4 (Vallado,
 Crawford, Hujsak and Kelso, "Revisiting Spacetrack Report #3", AIAA 2006-6753). Each episode begins at the epoch of its set.
+The twenty satellites and hundred cities of `bsk_torch.formats.SAMPLES` follow, all from the same epoch, with positions and windows.
 Skyfield and ERFA are needed; brahe is compared if it is installed.
 """
 
@@ -14,7 +15,7 @@ import dataclasses
 import functools
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +33,8 @@ from bsk_torch.astro.ephemeris import date_in_words, parse_utc, sun_position
 from bsk_torch.data import UniqueImageReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
+from bsk_torch.formats import SAMPLES
+from bsk_torch.formats.places import read_csv
 from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 
@@ -65,6 +68,11 @@ CITIES = {
 }
 """Latitude and longitude, degrees on WGS84, and height, m."""
 
+START = "2026-04-14T00:00:00Z"
+"""Epoch of the flight of the samples, of the same day as their element sets."""
+
+Places = Mapping[str, tuple[float, float, float]]
+
 
 class Observer(sats.ImagingSatellite):
     """A satellite whose windows over the cities are looked for."""
@@ -75,15 +83,15 @@ class Observer(sats.ImagingSatellite):
     fsw_type = fsw.SteeringImagerFSWModel
 
 
-def flown(sets: list[ElementSet]) -> Any:
+def flown(sets: Sequence[ElementSet], starts: Sequence[str], places: Places) -> Any:
     """The simulator of an episode for each set, with arcs of a day and windows of some hours."""
-    latitude, longitude, height = zip(*CITIES.values(), strict=True)
+    latitude, longitude, height = zip(*places.values(), strict=True)
     env = SatelliteTasking(
         Observer("Observer", {"oe": rand.per_env(sets), "imageTargetMinimumElevation": math.radians(ELEVATION)}),
-        scene.Targets.from_geodetic(latitude, longitude, height, names=list(CITIES)),
+        scene.Targets.from_geodetic(latitude, longitude, height, names=list(places)),
         UniqueImageReward(),
         num_envs=len(sets),
-        world_args={"utc_init": rand.per_env([date_in_words(each.epoch) for each in sets]), "baseDensity": 0.0},
+        world_args={"utc_init": rand.per_env(list(starts)), "baseDensity": 0.0},
         time_limit=3600.0 * WINDOW_HOURS,
         seed=0,
     )
@@ -99,18 +107,18 @@ def statistics(values: list[float]) -> dict[str, float]:
     return {"count": len(values), "rms": float(np.sqrt(np.mean(array**2))), "worst": float(np.abs(array).max())}
 
 
-def positions(simulator: Any, others: list[Callable[[float], np.ndarray]]) -> list[list[float]]:
+def positions(simulator: Any, others: list[Callable[[float], np.ndarray]], at: Sequence[float] = HOURS) -> list[list[float]]:
     """Distances, m, of the flown orbits from other positions in GCRS at ET, [S][hours]."""
     arcs, found = simulator.arcs, []
     for k, other in enumerate(others):
-        nodes = [LEAD_NODES + round(3600.0 * hours / NODE_SPACING) for hours in HOURS]
+        nodes = [LEAD_NODES + round(3600.0 * hours / NODE_SPACING) for hours in at]
         et = float(arcs.et[k])
-        rows = zip(HOURS, nodes, strict=True)
+        rows = zip(at, nodes, strict=True)
         found.append([float(np.linalg.norm(arcs.flown[k, node].numpy() - other(et + 3600.0 * hours))) for hours, node in rows])
     return found
 
 
-def windows(simulator: Any, satellites: list[EarthSatellite], timescale: Any) -> tuple[list[list[float]], int, int]:
+def windows(simulator: Any, satellites: list[EarthSatellite], timescale: Any, places: Places) -> tuple[list[list[float]], int, int]:
     """Differences of opening and closing times from Skyfield's, s, by orbit; windows on either side without a partner."""
     table, each, extra, missing = simulator.lookahead.access.windows["target"], list[list[float]](), 0, 0
     limit = 3600.0 * WINDOW_HOURS
@@ -118,7 +126,7 @@ def windows(simulator: Any, satellites: list[EarthSatellite], timescale: Any) ->
         et, differences = float(simulator.arcs.et[k]), list[float]()
         each.append(differences)
         begin, end = (timescale.tdb_jd(2451545.0, (et + offset) / 86400.0) for offset in (0.0, limit))
-        for place, (latitude, longitude, height) in enumerate(CITIES.values()):
+        for place, (latitude, longitude, height) in enumerate(places.values()):
             here = (table.place[k] == place) & torch.isfinite(table.close[k]) & (table.open[k] < limit)
             mine = torch.stack([table.open[k][here], table.close[k][here].clamp(max=limit)], -1).numpy()
             site = wgs84.latlon(latitude, longitude, height)
@@ -211,12 +219,37 @@ def brahe_position(lines: list[str]) -> Callable[[float], np.ndarray]:
     return position
 
 
+def samples(timescale: Any) -> dict[str, Any]:
+    """Positions and windows of the samples in six hours, by satellite."""
+    sets = read_tle(SAMPLES / "earth_observation.tle")
+    lines = (SAMPLES / "earth_observation.tle").read_text().splitlines()
+    listed = read_csv(SAMPLES / "cities.csv")
+    numbers = zip(listed.latitude, listed.longitude, listed.height, strict=True)
+    places = dict(zip(listed.names, numbers, strict=True))
+    satellites = [EarthSatellite(*lines[2 * k : 2 * k + 2], None, timescale) for k in range(len(sets))]
+    simulator = flown(sets, [START] * len(sets), places)
+    differences, extra, missing = windows(simulator, satellites, timescale, places)
+    hours = np.linspace(0.0, WINDOW_HOURS, 25).tolist()
+    distances = positions(simulator, [functools.partial(skyfield_position, each, timescale) for each in satellites], hours)
+    return {
+        "names": [each.name for each in sets],
+        "places": len(places),
+        "positions": [statistics(row) for row in distances],
+        "windows": [statistics(found) for found in differences],
+        "all": statistics([difference for found in differences for difference in found]),
+        "unmatched": {"extra": extra, "missing": missing},
+    }
+
+
 def check(result: dict[str, Any]) -> None:
-    """End the program with an error if the low circular orbits or what is common to all orbits are off by more than limits."""
+    """End the program with an error if low circular orbits or what is common to all orbits are off by more than limits."""
     distances = [row[HOURS.index(hours)] for row in result["positions"][:CIRCULAR] for hours in (0.0, 1.0, 3.0, 6.0)]
     found = {
         "positions of low circular orbits over six hours, m": (max(distances), 3000.0),
         "windows of low circular orbits, s": (max(each["worst"] for each in result["windows"][:CIRCULAR]), 2.0),
+        "positions of the samples over six hours, m": (max(each["worst"] for each in result["samples"]["positions"]), 3000.0),
+        "windows of the samples, s": (result["samples"]["all"]["worst"], 2.0),
+        "windows of the samples on one side only": (sum(result["samples"]["unmatched"].values()), 0),
         "eclipses, s": (result["eclipses"]["worst"], 2.0),
         "direction of the Sun, arcseconds": (result["sun_arcseconds"]["worst"], 1.0),
         "eclipses that the table lacks": (result["eclipses"]["lacking"], 0),
@@ -238,8 +271,8 @@ def main() -> None:
     pairs = [lines[3 * k + 1 : 3 * k + 3] for k in range(len(sets))]
     satellites = [EarthSatellite(*pair, None, timescale) for pair in pairs]
     skyfield = [functools.partial(skyfield_position, satellite, timescale) for satellite in satellites]
-    simulator = flown(sets)
-    differences, extra, missing = windows(simulator, satellites, timescale)
+    simulator = flown(sets, [date_in_words(each.epoch) for each in sets], CITIES)
+    differences, extra, missing = windows(simulator, satellites, timescale, CITIES)
     et = np.concatenate([each.epoch + np.linspace(0.0, 86400.0, 25) for each in sets])
     suns = sun_position(torch.from_numpy(et)).numpy(), erfa_sun(et)
     ours, theirs = (sun / np.linalg.norm(sun, axis=-1, keepdims=True) for sun in suns)
@@ -260,6 +293,7 @@ def main() -> None:
         "positions": positions(simulator, skyfield),
         "windows": [statistics(found) for found in differences],
         "unmatched": {"extra": extra, "missing": missing},
+        "samples": samples(timescale),
         "eclipses": statistics(edges) | {"lacking": lacking},
         "sun_arcseconds": statistics([3600.0 * each for each in angle]),
         "brahe": statistics(frames) if frames else None,

@@ -9,6 +9,7 @@ from bsk_torch._rooms import resolve as _resolve
 from bsk_torch.sim.names import nearest as _nearest
 
 if TYPE_CHECKING:
+    from bsk_torch.tasks.aeossp.env import case_env, drawn_case_env
     from bsk_torch.tasks.aeossp.files import (
         Case,
         CaseSatellite,
@@ -35,7 +36,9 @@ __all__ = [
     "Report",
     "Requests",
     "Slews",
+    "case_env",
     "check",
+    "drawn_case_env",
     "fitting_factor",
     "fly",
     "flyable",
@@ -48,6 +51,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    **dict.fromkeys(("case_env", "drawn_case_env"), "env"),
     **dict.fromkeys(
         ("Case", "CaseSatellite", "Observations", "Requests", "read_case", "read_solution", "write_solution"), "files"
     ),

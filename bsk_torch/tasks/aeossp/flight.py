@@ -26,12 +26,11 @@ from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.astro.element_sets import ElementSet
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import hill_frame
-from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.dyn.effectors.wheel_set import wheel_defaults
 from bsk_torch.sim.names import one_of
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.tasks.aeossp.files import Case, Observations
-from bsk_torch.tasks.aeossp.geometry import Numbers, on_ellipsoid, tracks
+from bsk_torch.tasks.aeossp.geometry import Numbers, elements, on_ellipsoid, tracks
 from bsk_torch.tasks.aeossp.models import HOLD_MODE, LOOK_MODE, FlownDynModel, FlownFSWModel, WheelPowerDynModel
 from bsk_torch.tasks.aeossp.rules import find_slews
 from bsk_torch.vec3 import Vec3
@@ -51,6 +50,9 @@ EARLY = 2.0
 """How long before its start the slew to an observation begins in longer gaps, over the verifier's time for it."""
 
 REASONS = ("pointing", "rate", "off_nadir", "battery")
+
+UTC = "%Y-%m-%dT%H:%M:%S.%fZ"
+"""Format of the epoch of a case."""
 
 POWERS = ("case", "wheels")
 """What slews draw from the battery."""
@@ -153,13 +155,14 @@ def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int
 def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power: str, tick: float) -> Simulator:
     """Return the simulation of some satellites of a case at the start of the horizon; they look at nadir."""
     kind = Flyer if power == "case" else WheelPowerFlyer
-    arguments = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
-    wheels = arguments[0]["wheels"]  # each satellite has its own numbers
+    arguments = crew_arguments(case, crew, tick, factors, power)
+    for row in arguments:
+        del row["maxWheelSpeed"]
     env = ConstellationTasking(
-        [kind(f"Satellite{number}", row | {"wheels": wheels}) for number, row in zip(crew, arguments, strict=True)],
+        [kind(f"Satellite{number}", row) for number, row in zip(crew, arguments, strict=True)],
         scenario=scene.Scenario(),
         rewarder=data.NoReward(),
-        world_args={"utc_init": case.start.strftime("%Y-%m-%dT%H:%M:%S.%fZ")},
+        world_args={"utc_init": case.start.strftime(UTC)},
         num_envs=1,
         time_limit=float(case.horizon_s),
         sim_rate=tick,
@@ -171,9 +174,9 @@ def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power:
     return simulator
 
 
-def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
+def _at_nadir(orbit: ElementSet, et: float) -> dict[str, Any]:
     """Return the attitude and the rate, rad/s, with which B turns as the Hill frame does, at ET, s."""
-    r, v = elements.state_at(torch.tensor([et], dtype=torch.float64))
+    r, v = orbit.state_at(torch.tensor([et], dtype=torch.float64))
     rate = torch.linalg.cross(r, v).norm() / r.square().sum()
     return {
         "sigma_init": dcm_to_mrp(hill_frame(Vec3.of(r), Vec3.of(v))).stack()[0].tolist(),
@@ -181,19 +184,25 @@ def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
     }
 
 
+def crew_arguments(
+    case: Case, crew: Sequence[int], tick: float, factors: NDArray[np.float64], power: str = "case"
+) -> list[dict[str, Any]]:
+    """Return the arguments of satellites ``crew``: orbits, wheels of their slew limits, times ``factors``, and batteries."""
+    rows = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
+    return [row | {"wheels": rows[0]["wheels"]} for row in rows]  # of which each satellite has its own numbers
+
+
 def _arguments(case: Case, number: int, factor: float, power: str, tick: float) -> dict[str, Any]:
-    """Return the arguments of a satellite: its orbit, the wheels of its slew limits, times a factor, and its battery."""
     satellite = case.satellites[number]
     spacecraft = craft.from_slew_limits(
         factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick
     )
     numbers = {name: tuple(values) for name, values in wheel_defaults(spacecraft["wheels"]).items()}
-    (elements,) = read_tle(f"{satellite.line1}\n{satellite.line2}", gravity="wgs84")
     return {
-        **{name: value for name, value in spacecraft.items() if name != "maxWheelSpeed"},
+        **spacecraft,
         **{name: numbers[name] for name in ("u_max", "rwJs")},
-        "oe": elements,
-        **_at_nadir(elements, parse_utc(case.start)),
+        "oe": elements(satellite),
+        **_at_nadir(elements(satellite), parse_utc(case.start)),
         "idlePower": satellite.idle_w,
         "imagingPower": satellite.imaging_w,
         "slewPower": satellite.slew_w if power == "case" else 0.0,

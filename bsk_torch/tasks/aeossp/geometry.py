@@ -1,8 +1,7 @@
 """Where satellites of a case are, which tasks they see, and whether the Sun shines on them, in numpy.
 
-Orbits are those of SGP4 with the constants of WGS84, in its frame TEME (true equator, mean equinox), from the package sgp4. The
-Earth turns by the mean sidereal time of 1982 about the third axis; UT1 is UTC, and polar motion is neglected, as in the
-benchmark. Angles between directions are the same in TEME and in GCRF.
+Orbits are those of SGP4 with the constants of WGS84, in its frame TEME (true equator, mean equinox). The Earth turns by the mean
+sidereal time of 1982 about the third axis; UT1 is UTC, and polar motion is neglected, as in the benchmark. Angles between directions are the same in TEME and in GCRF.
 
 Sources: Vallado, *Fundamentals of Astrodynamics and Applications*, 4th ed., 2013, for the frames and the low-precision Sun of the
 Astronomical Almanac (0.01 deg).
@@ -10,16 +9,22 @@ Astronomical Almanac (0.01 deg).
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from sgp4.api import SGP4_ERRORS, WGS84, Satrec, jday
+from torch import Tensor
 
+from bsk_torch.astro.earth_rotation import sidereal_time_1982
+from bsk_torch.astro.element_sets import ElementSet
+from bsk_torch.astro.ephemeris import DAY, parse_utc, utc_seconds
 from bsk_torch.astro.geodetic import SEMI_MINOR_AXIS, geodetic_to_fixed
-from bsk_torch.tasks.aeossp.files import Case, Requests
+from bsk_torch.formats.tle import read_tle
+from bsk_torch.tasks.aeossp.files import Case, CaseSatellite, Requests
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -79,9 +84,16 @@ def tracks(case: Case) -> Tracks:
     return Tracks(
         r=np.stack([r for r, _ in states]),
         v=np.stack([v for _, v in states]),
-        sidereal=sidereal_time(*_julian(case, seconds)),
+        sidereal=sidereal_time_1982(ephemeris_time(case, seconds)).numpy(),
         places=on_ellipsoid(case.requests),
     )
+
+
+@lru_cache(4096)
+def elements(satellite: CaseSatellite) -> ElementSet:
+    """Return the element set of a satellite, with its name and the constants of WGS84."""
+    (found,) = read_tle(f"{satellite.line1}\n{satellite.line2}", gravity="wgs84")
+    return dataclasses.replace(found, name=satellite.name)
 
 
 def orbit(case: Case, number: int, seconds: Array) -> tuple[Array, Array]:
@@ -89,28 +101,13 @@ def orbit(case: Case, number: int, seconds: Array) -> tuple[Array, Array]:
 
     ValueError if SGP4 has none, such as after decay.
     """
-    satellite = case.satellites[number]
-    record = Satrec.twoline2rv(satellite.line1, satellite.line2, WGS84)
-    errors, r, v = record.sgp4_array(*_julian(case, seconds))
-    if errors.any():
-        k = int(np.flatnonzero(errors)[0])
-        reason = SGP4_ERRORS.get(int(errors[k]), "unknown error")
-        raise ValueError(f"satellite {satellite.name!r} has no orbit {seconds[k]:g} s after the start: {reason}")
-    return 1e3 * r, 1e3 * v
+    r, v = elements(case.satellites[number]).teme_states(ephemeris_time(case, seconds))
+    return r.numpy(), v.numpy()
 
 
-def _julian(case: Case, seconds: Array) -> tuple[Array, Array]:
-    """Return Julian dates, in two parts."""
-    at = case.start
-    day, fraction = jday(at.year, at.month, at.day, at.hour, at.minute, at.second + 1e-6 * at.microsecond)
-    return np.full(len(seconds), day), fraction + seconds / 86400.0
-
-
-def sidereal_time(day: Array, fraction: Array) -> Array:
-    """Return the mean sidereal time of 1982, rad, of Julian dates of UT1 in two parts (Vallado, eq. 3-47)."""
-    centuries = ((day - 2451545.0) + fraction) / 36525.0
-    seconds = 67310.54841 + (3.164400184812866e9 + (0.093104 - 6.2e-6 * centuries) * centuries) * centuries
-    return np.radians(seconds / 240.0) % (2.0 * np.pi)
+def ephemeris_time(case: Case, seconds: Array) -> Tensor:
+    """Return ET, s, of seconds [n] from the start of the horizon."""
+    return parse_utc(case.start) + torch.from_numpy(seconds)
 
 
 def turned(places: Array, sidereal: Array) -> Array:
@@ -134,8 +131,7 @@ def angle(a: Array, b: Array) -> Array:
 def sunlit(case: Case, number: int, seconds: Array) -> NDArray[np.bool_]:
     """Return whether a satellite is in sunlight at seconds [n] from the start of the horizon: outside a cylinder of shadow."""
     r, _ = orbit(case, number, seconds)
-    day, fraction = _julian(case, seconds)
-    days = (day - 2451545.0) + fraction
+    days = utc_seconds(ephemeris_time(case, seconds)).numpy() / DAY
     anomaly, mean = np.radians(357.5291092 + 0.985600282 * days), 280.460 + 0.98564736 * days
     longitude = np.radians(mean + 1.914666471 * np.sin(anomaly) + 0.019994643 * np.sin(2.0 * anomaly))
     tilt = np.radians(23.439291 - 3.56e-7 * days)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import torch
+from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.effectors import wheels
@@ -21,11 +22,15 @@ LOADS = ("idle", "imaging", "slew")
 
 
 def balance_power(bus: Bus) -> None:
+    """Write the power of the battery; a look lasts from its first to its last tick."""
+    write_power(bus, (bus.ticks > bus.look_first) & (bus.ticks <= bus.look_last))
+
+
+def write_power(bus: Bus, looks: Tensor) -> None:
     """Write the power of the battery, W: panels at any attitude, less the loads.
 
-    The slew's load lasts while the reference slews, that of imaging from the first to the last tick of a look.
+    The slew's load lasts while the reference slews, that of imaging where the satellite ``looks``.
     """
-    looks = (bus.ticks > bus.look_first) & (bus.ticks <= bus.look_last)
     zero = torch.zeros_like(bus.idle_power)
     load = bus.idle_power + torch.where(looks, bus.imaging_power, zero) + torch.where(bus.slew_left > 0.0, bus.slew_power, zero)
     bus.power = bus.charge_power * bus.illumination - load

@@ -46,8 +46,8 @@ class Moment:
         sun_N: Direction to the Sun, [3].
         PN: DCM from N to P, [3, 3].
         stations_P: Ground stations, [K, 3].
-        targets_P: The targets that can be chosen now or have been imaged, or the objects of a catalog, [T, 3].
-        imaged: Which of them have been imaged, [T].
+        targets_P: The targets that can be chosen now or have been imaged, cells of areas, or the objects of a catalog, [T, 3].
+        imaged: Which of them have been imaged or recorded, [T].
         worth: Priority of each over the largest, [T].
         in_orbit: Whether the targets are in orbit.
         aims_P: Target that each satellite looks at, [S, 3]; not a number where there is none, or the Earth hides an object.
@@ -157,12 +157,14 @@ def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[bool, Tensor, Te
     """Whether targets are in orbit, their places [T, 3], which are imaged [T], relative priorities [T], where satellites look."""
     targets, aims = targets_of(env, row), torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
     in_orbit, offered, r_P = targets.places == "orbit", getattr(env.scenario, "available", None), targets.r
+    imaged = env.rewarder.recorded(row).marks.get("done")
     if in_orbit:
         first = env.fleet.simulators[0]
         r_P = r_P @ first.world.PN[row * first.count].cpu().mT
-    elif targets.places != "ground" or offered is None:
+    elif targets.places != "ground" or (offered is None and imaged is None):
         return False, aims[:0], torch.zeros(0, dtype=torch.bool), aims[:0, 0], aims
-    imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros(len(r_P), dtype=torch.bool)
+    if imaged is None:
+        imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros(len(r_P), dtype=torch.bool)
     shown = torch.ones_like(imaged) if offered is None else offered[row].cpu() | imaged
 
     def aim(satellite: SatelliteGroup) -> Tensor:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bsk_torch.astro.earth_rotation import sidereal_time_1982
 from bsk_torch.tasks.aeossp import Case, CaseSatellite, Observations, Requests
-from bsk_torch.tasks.aeossp.geometry import orbit, sidereal_time, turned
+from bsk_torch.tasks.aeossp.geometry import ephemeris_time, orbit, turned
 
 EARTH = 6_371e3
 HORIZON = 1200
@@ -69,8 +70,7 @@ def place(case: Case, number: int, second: float, across: float) -> np.ndarray:
     line = -r / np.linalg.norm(r) * np.cos(np.radians(across)) + normal / np.linalg.norm(normal) * np.sin(np.radians(across))
     along = -(r @ line)
     point = r + line * (along - np.sqrt(EARTH**2 - r @ r + along**2))
-    day = (case.start - datetime(2000, 1, 1, 12, tzinfo=timezone.utc)).total_seconds() / 86400.0 + second / 86400.0
-    return turned(point[None], -sidereal_time(np.array([2451545.0]), np.array([day])))[0]
+    return turned(point[None], -sidereal_time_1982(ephemeris_time(case, at)).numpy())[0]
 
 
 def write_case(folder: Path, case: Case) -> None:

@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from bsk_torch.astro.earth_rotation import sidereal_time_1982
 from bsk_torch.tasks.aeossp import Case, Observations, write_solution
 from bsk_torch.tasks.aeossp.flight import REASONS, Flight, _simulator, fly
-from bsk_torch.tasks.aeossp.geometry import on_ellipsoid, orbit, sidereal_time, tracks, turned
+from bsk_torch.tasks.aeossp.geometry import ephemeris_time, on_ellipsoid, orbit, tracks, turned
 from bsk_torch.tasks.aeossp.margins import completed_weight, delivered, fitting_factor, thinned
 from bsk_torch.tasks.aeossp.rules import check
 from tests.support.refusals import check_refusals, refusal
@@ -64,10 +65,10 @@ def test_satellites_are_where_the_verifier_has_them():
         simulator.run((second * 2 - simulator.ticks).clamp(min=0))
         now = simulator.observer.now
         flown = (now.PN @ now.r_BN_N).stack()
-        days = (case.start.timestamp() - 946728000.0 + second) / 86400.0
-        sidereal = sidereal_time(np.array([2451545.0]), np.array([days]))
+        at = np.array([float(second)])
+        sidereal = sidereal_time_1982(ephemeris_time(case, at)).numpy()
         for number in range(3):
-            expected = turned(orbit(case, number, np.array([float(second)]))[0], -sidereal)[0]
+            expected = turned(orbit(case, number, at)[0], -sidereal)[0]
             # the simulation turns the Earth at a constant rate between hours, worth 0.1 m
             assert np.linalg.norm(flown[number].numpy() - expected) < 0.5
 
