@@ -7,8 +7,12 @@ from importlib import import_module as _import_module
 from importlib.util import find_spec as _find_spec
 from typing import TYPE_CHECKING
 
-from bsk_torch._listed import register_listed as _register_listed
-from bsk_torch.sim.names import nearest as _nearest
+from bsk_torch._portable import choose_instructions as _choose_instructions
+
+_choose_instructions()  # before NumPy and torch, which Gymnasium imports
+
+from bsk_torch._listed import register_listed as _register_listed  # noqa: E402
+from bsk_torch.sim.names import nearest as _nearest  # noqa: E402
 
 if TYPE_CHECKING:
     from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from bsk_torch._portable import is_portable
 from bsk_torch.codegen import prepared, shipped
 from bsk_torch.codegen.cache import PRIVATE, build_folder, cache_folder, check_owner, read_trusted, sweep
 
@@ -51,6 +52,9 @@ GCC_FLAGS = ("-O1", "-fexpensive-optimizations", "-fira-region=one", "-fschedule
 """Options of GCC only. Ticks, which are vector instructions already, gain nothing by what -O2 does beyond the expensive
 optimizations (contraction is one of them) and by registers allocated loop by loop, but compile in a quarter less time.
 Scheduling with regard to register pressure makes them 10 % faster."""
+
+PORTABLE_FLAGS = ("-ffp-contract=off",)
+"""Options behind these for kernels with the same results on other processors, see :mod:`bsk_torch._portable`."""
 
 ISAS = ("avx512", "avx2", "default")
 """Values of ``BSK_TORCH_ISA``."""
@@ -113,7 +117,7 @@ def load(source: str, name: str) -> ctypes.CDLL:
         RuntimeError: Without a compiler, or a cache folder that can be written to.
     """
     headers, target = (header.read_text() for header in HEADERS), shipped.BUILDING.get()
-    parts = [source, *headers, *FLAGS, *GCC_FLAGS, torch.__version__, SEALED]
+    parts = [source, *headers, *_flags(), *GCC_FLAGS, torch.__version__, SEALED]
     if target is not None:
         path = target.folder / shipped.library_name(parts, target.isa)
     else:
@@ -235,11 +239,15 @@ def _command(name: str) -> list[str]:
             f"the {name} needs a C++ compiler, but {compilers} does not run here; install it or let CXX name another one"
             f"{_not_shipped()}. {WITHOUT}"
         ) from error
-    flags = [*FLAGS, *(GCC_FLAGS if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADERS[0].parent))}"]
+    flags = [*_flags(), *(GCC_FLAGS if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADERS[0].parent))}"]
     options = cpp_builder.CppTorchOptions(vec_isa=_vector_isa(), extra_flags=flags, compiler=compiler)
     command = shlex.split(cpp_builder.CppBuilder("kernel", ["kernel.cpp"], options).get_command_line())
-    target = shipped.BUILDING.get()
-    return command if target is None else shipped.portable(command, target.isa)
+    return shipped.portable(command, _chosen_isa()) if is_portable() or shipped.BUILDING.get() else command
+
+
+def _flags() -> tuple[str, ...]:
+    """Return the options of the compiler."""
+    return (*FLAGS, *PORTABLE_FLAGS) if is_portable() else FLAGS
 
 
 def _not_shipped() -> str:

@@ -53,6 +53,17 @@ LEVEL = "storage_level_fraction"
 """Observation of the fill level of the data buffer."""
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Use one thread of torch: in long sums, and in MKL on processors of Intel, the order of parts follows the number of threads."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 class Training:
     """A run: collects, learns, evaluates, logs, and leaves policy, logs, checkpoint and configuration in a folder."""
 
@@ -258,7 +269,8 @@ class Training:
         self.recent.add(self.rewards(batch), batch["next", "done"].squeeze(-1), self.survived(batch), self.fill(batch))
         self.days += float(batch["next", "duration"].double().sum()) / DAY
         self.learner.anneal(self.progress.fraction)
-        report = self.learner.learn(batch)
+        with one_thread():
+            report = self.learner.learn(batch)
         if not _finite(self.learner.policy_state()):
             raise RuntimeError(
                 f"the training has diverged after {self.progress.frames} frames: weights are not finite; try a smaller "
