@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -9,35 +10,41 @@ from typing import Any
 
 from bsk_torch.sim.names import nearest
 
+logger = logging.getLogger(__name__)
 
-def import_object(text: str, title: str) -> Any:
+
+def import_object(text: str, title: str = "") -> Any:
     """Import the object that a user names, which executes the code of its module.
 
     Names in files that others may have written must not come here.
 
     Args:
         text: ``module:name``, of a module in the current folder or installed, or ``file.py:name``.
-        title: What the object is for, at the start of errors.
+        title: The argument that it is for, at the start of errors.
 
     Raises:
         ValueError: If there is no such file, module or object, or if its module raises an exception.
     """
+    label = f"{title}={text!r}" if title else text
     module, _, name = text.rpartition(":")
     file = Path(module) if module.endswith(".py") else None
     if file is not None and not file.is_file():
-        raise ValueError(f"{title}={text!r}: there is no file {module!r}")
+        raise ValueError(f"{label} cannot be imported: there is no file {module!r}")
     folder = str(Path.cwd() if file is None else file.resolve().parent)
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
         loaded = import_module(module if file is None else file.stem)
-    except Exception as error:  # a user's module may raise anything
-        raise ValueError(f"{title}={text!r} cannot be imported: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
+        logger.debug("%s cannot be imported", module, exc_info=error)
+        raise ValueError(f"{label} cannot be imported: {type(error).__name__}: {error}") from error
     if file is not None and Path(loaded.__file__ or "").resolve() != file.resolve():
-        raise ValueError(f"{title}={text!r}: another module, {loaded.__file__}, has the name {file.stem!r}; rename the file")
+        raise ValueError(
+            f"{label} cannot be imported: another module, {loaded.__file__}, has the name {file.stem!r}; rename the file"
+        )
     if not hasattr(loaded, name):
-        names = [key for key in vars(loaded) if not key.startswith("_")]
-        raise ValueError(f"{title}={text!r}: {module} has no {name!r}; {nearest(name, names)}")
+        names = [key for key, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        raise ValueError(f"{label} cannot be imported: {module} has no {name!r}; {nearest(name, names)}")
     return getattr(loaded, name)
 
 

@@ -135,7 +135,7 @@ def named_policy(name: str, preset: str | None, trust: bool = False) -> NamedPol
     if plain in RULES:
         return NamedPolicy(plain, preset or FIRST, rule_named(plain))
     if is_function(name):
-        enter, library = entrant_of_user(plain, texts, trust)
+        enter, library = entrant_of_user(plain, texts)
         loaded = Loaded(lambda env, where: enter(where, lambda **views: env)[1], library)
         return NamedFunction(name, preset or FIRST, loaded, enter=enter)
     with refusing(FileNotFoundError, ImportError, ValueError):
@@ -166,7 +166,7 @@ def named_actor(name: str, preset: str | None, plan: Sequence[str] | None, trust
     return named_policy(name, preset, trust)
 
 
-def entrant_of_user(name: str, texts: Sequence[str] = (), trust: bool = False) -> tuple[Enter, str]:
+def entrant_of_user(name: str, texts: Sequence[str] = ()) -> tuple[Enter, str]:
     """Return what enters the object ``package.module:name`` of the user's, and its library; ends the program if there is none.
 
     A torch module, a model of Stable-Baselines3, and a function whose first argument is called ``observation`` or ``obs`` are
@@ -174,7 +174,7 @@ def entrant_of_user(name: str, texts: Sequence[str] = (), trust: bool = False) -
     returns this environment and a policy.
     """
     with refusing(ImportError, TypeError, ValueError):
-        named = function_named(name, trust)
+        named = function_named(name)
         if is_policy(named):
             return (lambda preset, make: (make(), named)), library_of(named)
         check_takes(named, name, texts)

@@ -111,7 +111,7 @@ def inspectors() -> list[str]:
 
 
 def assurance() -> list[str]:
-    """Mean gain in successful episodes with a filter, and half its 95 % interval (t, 9 degrees of freedom), in percentage points."""
+    """Gain in successful episodes with a filter, and half its 95 % interval (t, 9 degrees of freedom), in percentage points."""
     rows = result("safe_inspection_trained")["rows"]
     success = {(row["policy"], row["filter"]): 100.0 * row["success"] for row in rows}
     gains = [success[name, "asif"] - success[name, "none"] for name, kind in success if kind == "none"]

@@ -58,7 +58,7 @@ def entrant_of(name: str, tasks: Sequence[Task] = (), trust: bool = False) -> Na
         settings = usual | dict(view_of(view, allowed) for view in views)
         return Named(lambda preset, make: rule_entry(plain, settings, make))
     if is_function(name):
-        return Named(*entrant_of_user(plain, views, trust))
+        return Named(*entrant_of_user(plain, views))
     policy = named_policy(name, None, trust)
     library = policy.loaded.library
     if not policy.card:

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import inspect
-import logging
-import sys
 from collections.abc import Callable, Sequence
-from importlib import import_module, metadata
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib import metadata
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 from tensordict.nn import TensorDictModuleBase
@@ -19,6 +15,7 @@ from bsk_torch import __version__
 from bsk_torch._listed import PLANNERS
 from bsk_torch._rooms import resolve
 from bsk_torch.env import Tasking
+from bsk_torch.own_objects import import_object
 from bsk_torch.rl.policies import network_files, rllib_checkpoint, sb3_zip
 from bsk_torch.rl.policies.checksummed import is_checksummed
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
@@ -26,8 +23,6 @@ from bsk_torch.rl.policies.interface import Loaded
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared, shared_baselines
 from bsk_torch.sim.names import nearest
 from bsk_torch.wrappers.policies import Model
-
-logger = logging.getLogger(__name__)
 
 PLAN = "plan:"
 """What the names of planners begin with."""
@@ -148,51 +143,16 @@ def is_function(name: str) -> bool:
     return ":" in name and not name.startswith(PLAN) and not Path(name).exists()
 
 
-def function_named(name: str, trust: bool = False) -> Any:
-    """Return the object ``module:name``, or ``file.py:name``, of the user's.
-
-    A module is looked up as Python does, in the current folder, too: it is the user's own, as with ``python -m``. A file needs
-    ``trust``.
+def function_named(name: str) -> Any:
+    """Return the policy or function ``module:name``, or ``file.py:name``, of the user's, whose code is executed.
 
     Raises:
-        ImportError: If it cannot be imported.
-        UntrustedError: For a file, unless ``trust``.
-        ValueError: If there is no such name, or it is neither a policy nor callable.
+        ValueError: If it cannot be imported, or is neither a policy nor callable.
     """
-    module, _, function = name.rpartition(":")
-    if module.endswith(".py") and Path(module).is_file() and not trust:
-        raise UntrustedError(
-            f"{name!r} executes all of the file {module!r}; if you trust it, add --trust, or trust=True in Python; "
-            f"or name a module of your own, {Path(module).stem}:{function}"
-        )
-    try:
-        loaded = _module(module)
-        named = getattr(loaded, function, None)
-    except (Exception, SystemExit) as error:  # a user's module may raise anything
-        logger.debug("%s cannot be imported", module, exc_info=error)
-        plain = isinstance(error, TypeError | ValueError) and str(error)
-        hint = f"; there is no file {module!r}" if module.endswith(".py") else ""
-        raise ImportError(f"{name} cannot be imported: {error if plain else f'{type(error).__name__}: {error}'}{hint}") from error
-    if named is None:
-        names = [text for text, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
-        raise ImportError(f"{name} cannot be imported: {module} has no {function!r}; {nearest(function, names)}")
+    named = import_object(name)
     if not callable(named) and not isinstance(named, Model):
         raise ValueError(f"{name} is neither a policy nor a function of a preset's name and make")
     return named
-
-
-def _module(name: str) -> ModuleType:
-    if name.endswith(".py") and Path(name).is_file():
-        spec = spec_from_file_location(Path(name).stem, name)
-        assert spec is not None
-        assert spec.loader is not None
-        module = module_from_spec(spec)
-        sys.modules.setdefault(module.__name__, module)  # where its classes are looked up
-        spec.loader.exec_module(module)
-        return module
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
-    return import_module(name)
 
 
 def is_policy(named: Any) -> bool:
@@ -224,7 +184,7 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
     name of a rule, such as ``"hasty"``       nothing; see :func:`~bsk_torch.rl.policies.shared_policy.rule`
     ``"plan:rollout,base=hasty"``             nothing: a planner with its options
     ``"module:name"``                         the module, which is yours: a policy, or a function of the observation
-    ``"file.py:name"``                        the file, with ``trust``
+    ``"file.py:name"``                        the file, which is yours, too
     zip of Stable-Baselines3, sb3-contrib     nothing for networks of ``MlpPolicy`` and ``MultiInputPolicy``; others, and
                                               ``VecNormalize``, are unpickled, with ``trust``
     ONNX file                                 nothing
@@ -243,9 +203,9 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
 
     Raises:
         FileNotFoundError: If there is no such file, and the name is none of the above.
-        ImportError: If a package is missing, or the module cannot be imported.
+        ModuleNotFoundError: If a package is missing that reads the file.
         UntrustedError: Unless ``trust``, for a file with code; the message says what would run.
-        ValueError: For a damaged file, or a policy with other observations or actions.
+        ValueError: For a module that cannot be imported, a damaged file, or a policy with other observations or actions.
     """
     where, name = "this environment", str(source)
     if name in RULES:
@@ -253,7 +213,7 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
     if name.startswith(PLAN):
         return _planned(name, env, trust)
     if is_function(name):
-        named = function_named(name, trust)
+        named = function_named(name)
         if not is_policy(named):
             raise ValueError(f"{name} is no policy but a function of a preset and make, for commands; call it in your program")
         return shared(named, env)

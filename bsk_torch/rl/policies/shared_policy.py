@@ -167,15 +167,13 @@ def as_policy(actor: Actor | str | Path, env: Tasking) -> TensorDictModuleBase:
     """Return what chooses actions as a policy for all satellites of ``env``.
 
     A module of tensordicts is returned unchanged. In a constellation with one group, others act for each satellite; see
-    :func:`~bsk_torch.wrappers.policies.policy_of_one` for what they may be, and :func:`shared` for errors. Text is the name of a
-    rule, see :func:`rule`, or of a policy file or run folder.
+    :func:`~bsk_torch.wrappers.policies.policy_of_one` for what they may be, and :func:`shared` for errors. Text names a
+    policy, see :func:`~bsk_torch.load_policy`.
     """
     if isinstance(actor, str | Path):
-        if actor in RULES or not Path(actor).exists():
-            return rule(str(actor), env)
-        from bsk_torch.rl.policies.files import load_policy
+        from bsk_torch.rl.policies.loading import load_policy
 
-        return shared(load_policy(actor), env)
+        return load_policy(actor, env)
     return actor if isinstance(actor, TensorDictModuleBase) else shared(actor, env)
 
 
