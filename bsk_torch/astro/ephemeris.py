@@ -126,7 +126,9 @@ def parse_utc(text: str | datetime) -> float:
     except (ValueError, OverflowError) as error:
         raise ValueError(f"epoch {text!r} is not a valid UTC time: {error}") from error
     et = _et(date, second, scale)
-    _check_coverage(et, text)
+    first, last = coverage()
+    if not first <= et <= last:
+        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {coverage_in_words()} (TDB)")
     return et
 
 
@@ -287,12 +289,6 @@ def _tdb_minus_tt(tt: Any) -> Any:
     """
     mean_anomaly = 6.239996 + 1.99096871e-7 * tt
     return 1.657e-3 * np.sin(mean_anomaly + 1.671e-2 * np.sin(mean_anomaly))
-
-
-def _check_coverage(et: float, text: str | datetime) -> None:
-    first, last = coverage()
-    if not first <= et <= last:
-        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {coverage_in_words()} (TDB)")
 
 
 @cache

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.fleet import NEVER, Fleet
+from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.run.encounters import NEVER
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable

@@ -13,7 +13,6 @@ from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Overrides
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.run.coupled import Part, RunResult, Satellites, parts_of, together
-from bsk_torch.sim.run.encounters import NEVER as NEVER
 from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
