@@ -132,7 +132,7 @@ ADAPTERS: dict[str, Callable[[Any], Any]] = {
 STANDARD = (uniform_priority, whole_priority, nothing)
 """Functions that stand for an argument that is not given: the counterparts have defaults of the same meaning."""
 
-DRAWS: dict[Any, Any] = {getattr(orbital, name): getattr(rand, name) for name in
+DRAWS: dict[object, object] = {getattr(orbital, name): getattr(rand, name) for name in
                          ("random_orbit", "random_circular_orbit", "random_epoch", "random_unit_vector")}  # fmt: skip
 """Functions of bsk_rl's that draw, and the core's distributions."""
 
@@ -317,7 +317,7 @@ class BatchedVectorEnv(GymVectorEnv):
         self.single_observation_space = spaces.Box(-LARGEST, LARGEST, one.shape, one.dtype)  # type: ignore[arg-type]
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
-    def get_attr(self, name: str) -> tuple[Any, ...]:
+    def get_attr(self, name: str) -> tuple[object, ...]:
         """Return an attribute of every episode: ``satellite``, or ``simulator``; read-only views.
 
         AttributeError for others.

@@ -76,7 +76,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         reward_dict: Rewards of the last step by satellite, without penalties.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, object]] = {"render_modes": []}  # type: ignore[misc]
     simulator: Simulator
     _vector_form: ClassVar[Callable[..., Any]]
     """:func:`bsk_torch.bsk_rl.vector.vector_form`, set by the package."""
@@ -173,9 +173,10 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             if dtype is not None:
                 satellite.observation_builder.dtype = dtype
         self.sat_arg_randomizer: Any = sat_arg_randomizer or (lambda satellites: {})
+        required = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
         if world_type is not None:
             logger.warning("Using user-specified world type. Generally, the env-determined world type is sufficient.")
-        self.world_type = self._minimum_world_model() if world_type is None else compose(world_type, WorldModel)
+        self.world_type = compose(tuple(required) if world_type is None else world_type, WorldModel)
         self.world_args_generator = _world_args(self.world_type, world_args or {})
         self.scenario = deepcopy(scenario) or Scenario()
         self.scenario.link_satellites(self.satellites)
@@ -209,10 +210,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             handler.setFormatter(SimFormatter(color_output=not isinstance(handler, logging.FileHandler)))
             handler.addFilter(ContextFilter(env=self, proc_id=os.getpid()))
             root.addHandler(handler)
-
-    def _minimum_world_model(self) -> type[WorldModel]:
-        models = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
-        return compose(tuple(models), WorldModel)
 
     def get_satellite(self, name: str) -> Satellite:
         """Return the satellite of a name; ValueError if there is none."""
@@ -469,8 +466,8 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
             if satellite.name not in grouped:
                 groups[satellite.name] = [satellite.name]
         self.meta_agent_groupings = {agent: [self.get_satellite(name) for name in names] for agent, names in groups.items()}
-        self.newly_dead: list[Any] = []
-        self._spaces: dict[tuple[str, Any], Any] = {}
+        self.newly_dead: list[object] = []
+        self._spaces: dict[tuple[str, object], object] = {}
         self._agents_last_compute_time: float | None = None
 
     def _validate_meta_agent_groupings(self) -> None:
@@ -509,18 +506,18 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         return list(self.meta_agent_groupings)
 
     @property
-    def previously_dead(self) -> list[Any]:
+    def previously_dead(self) -> list[object]:
         """Agents that had left before the last step."""
         return [agent for agent in self.possible_agents if agent not in self.agents and agent not in self.newly_dead]
 
-    def _present(self) -> dict[Any, list[Satellite]]:
+    def _present(self) -> dict[object, list[Satellite]]:
         gone = self.previously_dead
         return {agent: members for agent, members in self.meta_agent_groupings.items() if agent not in gone}
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 
     @property
-    def observation_spaces(self) -> dict[Any, Any]:
+    def observation_spaces(self) -> dict[object, object]:
         """Observation space of each agent."""
         self._know_observations()
         self._validate_meta_agent_groupings()
@@ -529,7 +526,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         }
 
     @property
-    def action_spaces(self) -> dict[Any, Any]:
+    def action_spaces(self) -> dict[object, object]:
         """Action space of each agent."""
         return {agent: self._joined([s.action_space for s in members]) for agent, members in self.meta_agent_groupings.items()}
 

@@ -215,7 +215,7 @@ class AgentsVectorEnv(AgentsVector):
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
-    def get_attr(self, name: str) -> tuple[Any, ...]:
+    def get_attr(self, name: str) -> tuple[object, ...]:
         """Return an attribute of every environment."""
         return self.call(name)
 

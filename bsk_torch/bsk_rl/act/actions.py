@@ -68,7 +68,7 @@ class ActionBuilder(ABC, ResetableGroup):
         """Names of the actions."""
 
     @abstractmethod
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: object) -> None:
         """Begin an action."""
 
 

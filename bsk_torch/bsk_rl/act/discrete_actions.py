@@ -197,7 +197,7 @@ class Image(DiscreteAction):
         self.satellite.logger.info("target index %s tasked", action)
         return self.image(action, prev_action_key)
 
-    def set_action_override(self, action: object, prev_action_key: object = None) -> Any:
+    def set_action_override(self, action: object, prev_action_key: object = None) -> object:
         """Image a target, given as itself or its id."""
         return self.image(action, prev_action_key)
 

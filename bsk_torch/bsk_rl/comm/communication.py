@@ -135,7 +135,7 @@ class LOSCommunication(CommunicationMethod):
         self._cleared = 0.0
 
     @property
-    def los_logs(self) -> dict[Any, dict[Any, SightLog]]:
+    def los_logs(self) -> dict[object, dict[object, SightLog]]:
         """Logs of the current step by sensor and other satellite; empty after :meth:`communicate`, as in bsk_rl."""
         simulator = self.satellites[0].simulator
         sights = simulator.recorded_sights()[: 0 if simulator.sim_time == self._cleared else None]

@@ -14,7 +14,7 @@ __all__ = ["Data", "DataStore", "GlobalReward"]
 
 logger = logging.getLogger(__name__)
 
-LogStateType = Any
+LogStateType = object
 """What a store reads from its satellite at the end of a step."""
 
 
@@ -25,7 +25,7 @@ class Data(ABC):
     def __add__(self, other: Any) -> Any:
         """Return both units together."""
 
-    def __copy__(self) -> Any:
+    def __copy__(self) -> object:
         return type(self)() + self
 
 
@@ -46,7 +46,7 @@ class DataStore(ABC):
     def __init__(self, satellite: Any, initial_data: Any = None) -> None:
         """Store the data of a satellite, which begins with ``initial_data``; None for none."""
         self.satellite = satellite
-        self.staged_data: list[Any] = []
+        self.staged_data: list[object] = []
         self.data: Any = initial_data if initial_data else self.data_type()
         self.new_data: Any = self.data_type()
 
@@ -69,7 +69,7 @@ class DataStore(ABC):
         self.data += self.new_data
         return self.new_data
 
-    def stage_communicated_data(self, external_data: Any) -> None:
+    def stage_communicated_data(self, external_data: object) -> None:
         """Stage data received from another satellite; it is not passed on in the same step."""
         self.staged_data.append(external_data)
 
@@ -134,7 +134,7 @@ class GlobalReward(ABC, Resetable):
     def calculate_reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
         """Return the reward of a step by name of satellite, from the data that each has collected in it."""
 
-    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+    def reward(self, new_data_dict: dict[str, object]) -> dict[str, float]:
         """Return the reward of a step, and add it and its data to those of the episode."""
         reward = self.calculate_reward(new_data_dict)
         for name, value in reward.items():
@@ -144,10 +144,10 @@ class GlobalReward(ABC, Resetable):
         logger.info("Total reward: %s", {name: value for name, value in reward.items() if value != 0})
         return reward
 
-    def is_truncated(self, satellite: Any) -> bool:
+    def is_truncated(self, satellite: object) -> bool:
         """Return whether the episode is truncated for a satellite."""
         return False
 
-    def is_terminated(self, satellite: Any) -> bool:
+    def is_terminated(self, satellite: object) -> bool:
         """Return whether the episode terminates for a satellite."""
         return False

@@ -24,7 +24,7 @@ __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "
 logger = logging.getLogger(__name__)
 
 
-def _attribute_of_first(parts: Iterable[Any], name: str, kind: str) -> object:
+def _attribute_of_first(parts: Iterable[object], name: str, kind: str) -> object:
     for part in parts:
         if hasattr(part, name):
             return getattr(part, name)
@@ -117,22 +117,22 @@ class RewarderGroup(ResetableGroup, GlobalReward):
     def pass_data(self) -> None:
         """Pass each rewarder its data."""
 
-    def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
+    def rewarders_of(self, satellite: object) -> Collection[GlobalReward]:
         """Return the rewarders that reward a satellite."""
         raise NotImplementedError(f"{type(self).__name__} must implement rewarders_of(satellite)")
 
     @override
-    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+    def reward(self, new_data_dict: dict[str, object]) -> dict[str, float]:
         reward = super().reward(new_data_dict)
         self.pass_data()
         return reward
 
     @override
-    def is_truncated(self, satellite: Any) -> bool:
+    def is_truncated(self, satellite: object) -> bool:
         return any(rewarder.is_truncated(satellite) for rewarder in self.rewarders_of(satellite))
 
     @override
-    def is_terminated(self, satellite: Any) -> bool:
+    def is_terminated(self, satellite: object) -> bool:
         return any(rewarder.is_terminated(satellite) for rewarder in self.rewarders_of(satellite))
 
 
@@ -162,7 +162,7 @@ class ComposedReward(RewarderGroup):
         return self.rewarders
 
     @override
-    def rewarders_of(self, satellite: Any) -> tuple[GlobalReward, ...]:
+    def rewarders_of(self, satellite: object) -> tuple[GlobalReward, ...]:
         return self.rewarders
 
     @override
@@ -176,7 +176,7 @@ class ComposedReward(RewarderGroup):
             rewarder.link_scenario(scenario)
 
     @override
-    def initial_data(self, satellite: Any) -> ComposedData:
+    def initial_data(self, satellite: object) -> ComposedData:
         return ComposedData(*(rewarder.initial_data(satellite) for rewarder in self.rewarders))
 
     def create_data_store(self, satellite: Any) -> None:
@@ -208,7 +208,7 @@ class ComposedReward(RewarderGroup):
         return reward
 
 
-def _attribute_of_one(parts: Mapping[str, Any], name: str, kind: str) -> object:
+def _attribute_of_one(parts: Mapping[str, object], name: str, kind: str) -> object:
     having = [key for key, part in parts.items() if hasattr(part, name)]
     if len(having) == 1:
         return getattr(parts[having[0]], name)
@@ -347,7 +347,7 @@ class MixedReward(RewarderGroup):
         return self.rewarders.values()
 
     @override
-    def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
+    def rewarders_of(self, satellite: object) -> Collection[GlobalReward]:
         return self.channels_of(satellite).values()
 
     @override

@@ -160,7 +160,7 @@ class RSOInspectionReward(GlobalReward):
         """Choose the colors of points in Vizard."""
 
     @vizard.visualize
-    def update_point_colors(self, rso_points: list[RSOPoint], colors: Any, alpha: float = 0.5) -> None:
+    def update_point_colors(self, rso_points: list[RSOPoint], colors: object, alpha: float = 0.5) -> None:
         """Color points in Vizard."""
 
     @override
@@ -186,6 +186,6 @@ class RSOInspectionReward(GlobalReward):
         enough = lit >= points * self.min_illuminated_for_completion or self._sim_time > self.min_time_for_completion
         return enough and total.num_points_inspected >= self.completion_threshold * lit
 
-    def is_terminated(self, satellite: Any) -> bool:
+    def is_terminated(self, satellite: object) -> bool:
         """See :meth:`GlobalReward.is_terminated`; all satellites, when the inspection is complete."""
         return self.bonus_reward_yielded and self.terminate_on_completion

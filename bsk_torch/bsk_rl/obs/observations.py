@@ -79,7 +79,7 @@ class ObservationBuilder(ResetableGroup):
         """Copy and link the observations of a satellite; those of the same name get numbers."""
         self.obs_type, self.dtype, self.satellite = obs_type, dtype, satellite
         self.simulator: Any = None
-        self.obs_dict_cache: dict[str, Any] | None = None
+        self.obs_dict_cache: dict[str, object] | None = None
         self.obs_cache_time = 0.0
         self.observation_spec: list[Observation] = deepcopy(list(satellite.observation_spec))
         counts = Counter[str]()
@@ -100,7 +100,7 @@ class ObservationBuilder(ResetableGroup):
             entry.link_simulator(self.simulator)
         super().reset_post_sim_init()
 
-    def obs_dict(self) -> dict[str, Any]:
+    def obs_dict(self) -> dict[str, object]:
         """Return the observations by name; they are computed once at each time."""
         if self.obs_dict_cache is None or self.simulator.sim_time != self.obs_cache_time:
             self.obs_dict_cache = {}
@@ -118,7 +118,7 @@ class ObservationBuilder(ResetableGroup):
         """Return the names of the entries of :meth:`obs_ndarray`."""
         return vectorize_nested_dict(self.obs_dict())[0]
 
-    def obs_list(self) -> list[Any]:
+    def obs_list(self) -> list[object]:
         """Return the observations as a list of numbers."""
         return list(self.obs_ndarray())
 

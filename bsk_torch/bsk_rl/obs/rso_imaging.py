@@ -16,7 +16,7 @@ from bsk_torch.tasks.objects.obs import DEFAULT
 
 __all__ = ["RSOTargetProperties", "target_properties"]
 
-NOTHING: dict[str, Any] = {
+NOTHING: dict[str, object] = {
     "valid": 0.0,
     "priority": 0.0,
     "target_elevation_angle": 0.0,

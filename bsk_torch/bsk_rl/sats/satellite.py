@@ -217,7 +217,7 @@ class Satellite(ABC, ResetableGroup):
         """Space of the actions."""
         return self.action_builder.action_space
 
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: object) -> None:
         """Begin an action."""
         self.action_builder.set_action(action)
 

@@ -92,7 +92,7 @@ class Engine:
         self,
         satellites: Sequence[Any],
         world_type: type[WorldModel],
-        world_args: Mapping[str, Any],
+        world_args: Mapping[str, object],
         sim_rate: float,
         time_limit: float,
     ) -> SatelliteFleet:

@@ -49,7 +49,7 @@ class Episode(Protocol):
     world_args: dict[str, Any]
     fleet: SatelliteFleet
     aims: Aims
-    collisions: list[tuple[Any, Any]]
+    collisions: list[tuple[object, object]]
 
     def sights_now(self) -> np.ndarray:
         """Return whether one satellite sees another one now, [S, S] booleans."""
@@ -506,19 +506,19 @@ class WorldView(ModelView):
         return args[name] if name in messages.KEPT and name in args else super().__getattr__(name)
 
     @property
-    def eclipseObject(self) -> Any:
+    def eclipseObject(self) -> object:
         """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
         if all(component.slot != "eclipse" for component in type(self._whole).all_components()):
             raise AttributeError(self._advice("eclipseObject"))
         return messages.eclipses(self)
 
     @property
-    def gravFactory(self) -> Any:
+    def gravFactory(self) -> object:
         """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
         return messages.gravity_factory(self)
 
     @property
-    def ephemConverter(self) -> Any:
+    def ephemConverter(self) -> object:
         """Basilisk's converter of ephemerides, with the same messages."""
         return messages.ephemerides(self)
 
