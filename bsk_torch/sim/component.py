@@ -35,7 +35,7 @@ UserArguments = Mapping[str, Any]
 Computation = Callable[[Values], dict[str, Tensor]]  # returns fields of the state, or parameters, by name
 
 
-class Own(dict[str, Any]):
+class Own(dict[str, object]):
     """Arguments that the component in a slot reads, by name."""
 
     slot: str
@@ -414,7 +414,7 @@ def asked(components: Iterable[Component], values: Values) -> list[tuple[Compone
     return pairs
 
 
-Call = TypeVar("Call", bound=Callable[[Any], None])
+Call = TypeVar("Call", bound=Callable[[object], None])
 
 
 def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None:

@@ -193,7 +193,7 @@ class Arguments:
         each = [arguments] if isinstance(arguments, Mapping) else list(arguments)
         merged = [self._merged(values) for values in each]
         self._given = [dict(merged[0]) for _ in columns] if isinstance(arguments, Mapping) else merged
-        self._of_envs: list[dict[str, dict[int, Any]]] = [{} for _ in self._given]
+        self._of_envs: list[dict[str, dict[int, object]]] = [{} for _ in self._given]
         self._changed: set[str] = set()
         self._look()
 

@@ -20,7 +20,7 @@ from bsk_torch.sim.component import Arg, Component, asked
 
 logger = logging.getLogger(__name__)
 
-ArgumentChange = tuple[int, str, Any, Sequence[int] | None]  # see bsk_torch.sim.arguments.values.Arguments.changed
+ArgumentChange = tuple[int, str, object, Sequence[int] | None]  # see bsk_torch.sim.arguments.values.Arguments.changed
 
 
 class TrialDraw(NamedTuple):

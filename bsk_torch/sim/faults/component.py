@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -70,7 +70,7 @@ def declared_faults(arguments: Mapping[str, object], table: Mapping[str, Arg]) -
     return listed
 
 
-def changing(arguments: Mapping[str, object], faults: Iterable[Fault]) -> dict[str, Any]:
+def changing(arguments: Mapping[str, object], faults: Iterable[Fault]) -> dict[str, object]:
     """Return given arguments in which those that faults change may be anything, so that no component relies on their values."""
     return dict(arguments) | {name: CHANGING for fault in faults for name in fault.arguments}
 

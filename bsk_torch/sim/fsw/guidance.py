@@ -149,7 +149,7 @@ NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",)
 SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}  # what a mode resets in which pointing at the Sun begins
 
 
-def fitted_sun_pointing(given: Mapping[str, Any]) -> Component:
+def fitted_sun_pointing(given: Mapping[str, object]) -> Component:
     """Return the component that points nHat_B at the Sun, where it is not simply the normal of the panel."""
     return AXIS_TO_SUN if given.get("panels") is not None or may_change(given, "nHat_B") else SUN_POINTING
 

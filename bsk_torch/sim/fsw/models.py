@@ -249,7 +249,7 @@ NO_TASKS = (
 class Task:
     """Base class of tasks; deriving from it raises TypeError."""
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         raise TypeError(f"{cls.__qualname__} is a task, which is never run here; {NO_TASKS}")
 
 

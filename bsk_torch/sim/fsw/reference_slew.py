@@ -161,7 +161,7 @@ class Plan(NamedTuple):
         """Time until the reference is the tracking frame, s."""
         return torch.maximum(self.legs[0].duration, self.legs[1].duration)
 
-    def at(self, time: Any) -> tuple[Vec3, Vec3]:
+    def at(self, time: object) -> tuple[Vec3, Vec3]:
         """Return the rotation vector theta, rad, and its rate, rad/s, at a time, s."""
         (x, dx), (y, dy) = (part.at(time) for part in self.legs)
         return self.along * x + self.across * y, self.along * dx + self.across * dy

@@ -138,7 +138,7 @@ def flight_kernel(degree: int) -> Kernel:
 
 
 def flown_step(
-    r: Vec3, v: Vec3, accelerations: list[Vec3], ephemeris: Callable[[], Bus], stretch: Any, degree: int
+    r: Vec3, v: Vec3, accelerations: list[Vec3], ephemeris: Callable[[], Bus], stretch: object, degree: int
 ) -> tuple[Vec3, Vec3, list[Vec3]]:
     """Return position, m, velocity, m/s, and the remembered accelerations after a step; see :func:`flown_kernel`."""
     before, after = list(range(1 - MULTISTEP_ORDER, 1)), list(range(2 - MULTISTEP_ORDER, 2))

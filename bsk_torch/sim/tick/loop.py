@@ -222,7 +222,7 @@ class Tick:
         """Return the traced tick, or that at time zero; UntraceableError for tensor code that has no kernel."""
         program = Tracer()
 
-        def pack(source: str, layout: Layout) -> list[Any]:
+        def pack(source: str, layout: Layout) -> list[object]:
             dtypes = (torch.float64 if exact else self.dtype for exact in layout.exact)
             return [program.input(source, k, dtype=dtype) for k, dtype in enumerate(dtypes)]
 
