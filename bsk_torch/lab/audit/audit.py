@@ -161,7 +161,7 @@ class Audit:
         """Return the indices of the ``count`` decisions with the largest regrets, the largest first."""
         return self.regret.topk(min(count, len(self.time))).indices
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return all decisions as lists, for JSON; NaN becomes None."""
         decisions = {
             "seed": [self.seeds[k] for k in self.episode.tolist()],

@@ -188,7 +188,7 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     fixed = {name: satellite.given[name] for name in settings if name not in satellite.random and name != VERTICAL}
     drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
-    world_settings = stations_on_sphere(cast(Mapping[str, Any], env.options.world_args or {}))
+    world_settings = stations_on_sphere(cast(Mapping[str, object], env.options.world_args or {}))
     fixed_world = {name: value for name, value in world_settings.items() if name not in world.random}
     drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
     epochs = epochs_of(env, seeds)

@@ -165,7 +165,7 @@ def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[st
     return certifiers
 
 
-def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
+def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str, object]:
     """Return what a file says about a score; the score proper where the suite has a reference for the task."""
     from bsk_torch.lab.suites.suite import normalised
 

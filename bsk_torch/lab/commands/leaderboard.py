@@ -79,7 +79,7 @@ def leaderboard(
         reference = published(suite) if published_suite else {"policies": {}, "methods": {}}
     if not references(suite):
         fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
-    entries, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
+    entries, results = read_earlier(files, suite, Results), dict[str, dict[str, object]]()
     if files and not entries:
         fail(f"{', '.join(map(str, files))} has no policies")
     add_results(results, reference["policies"])
