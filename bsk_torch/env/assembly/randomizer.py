@@ -45,7 +45,7 @@ class Randomizer:
         with seeded(key.named("sat_arg_randomizer")) as rows:
             return self._stacked([self.ask() for _ in rows])
 
-    def ask(self) -> dict[tuple[str, int], Any]:
+    def ask(self) -> dict[tuple[str, int], object]:
         """Return the values of the user function for one episode, by argument and satellite."""
         answer = cast(Callable[[list[Satellite]], object], self.source)(self.satellites)
         if not isinstance(answer, Mapping):
