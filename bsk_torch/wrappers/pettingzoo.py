@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment, the name of a preset, or a function that returns an environment."""
 
-Steps = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
+Steps = tuple[dict[str, object], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, object]]]
 """Observations, rewards, terminations, truncations and infos by agent."""
 
 COMMON = "__common__"
@@ -116,7 +116,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         specs = self.core.observation_spec
         observed = {group.name: specs[group.name, "observation"] for group in self.core.groups}
         self.observation_spaces = {a: observation_space(observed[self._seats[a].group.name], 2) for a in self.possible_agents}
-        self.action_spaces: dict[str, spaces.Space[Any]] = {}
+        self.action_spaces: dict[str, spaces.Space[object]] = {}
         for agent in self.possible_agents:
             group, _, _, parts = self._seats[agent]
             if group.is_meta:
