@@ -210,7 +210,7 @@ def refuse_constellation(**options: object) -> NoReturn:
     )
 
 
-OWN: dict[str, dict[str, Any]] = {
+OWN: dict[str, dict[str, object]] = {
     "SatelliteTasking-v1": {**ONE, "kwargs": {"core": satellite_tasking}},
     "GeneralSatelliteTasking-v1": {**MANY, "kwargs": {"core": general_satellite_tasking}},
     "ConstellationTasking-v1": {"entry_point": refuse_constellation, "vector_entry_point": refuse_constellation},

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -456,8 +455,8 @@ def relative_to_chief(
 @dataclass(eq=False)
 class _Relative(Formation):
     chief_name: str
-    chief_orbit: Any
-    deputy_relative_state: Mapping[str, Any]
+    chief_orbit: object
+    deputy_relative_state: Mapping[str, object]
     mu: float
 
     def __post_init__(self) -> None:

@@ -576,7 +576,7 @@ def random_circular_orbit(
     r_body: float = 6371.0,
     Omega: float | None = None,
     f: float | None = None,
-) -> Any:
+) -> object:
     """Return a distribution of circular orbits with argument of perigee zero; like :func:`random_orbit`.
 
     Args:

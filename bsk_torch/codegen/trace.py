@@ -180,7 +180,7 @@ def _filled(number: float) -> Callable[..., Proxy]:
     return lambda x, dtype=None, **_: _full_like(x, number, dtype)
 
 
-def _full_like(x: Proxy, number: float, dtype: torch.dtype | None = None, **_: Any) -> Proxy:
+def _full_like(x: Proxy, number: float, dtype: torch.dtype | None = None, **_: object) -> Proxy:
     return as_value(x.program, number, require_dtype(dtype) if dtype else x.dtype)
 
 

@@ -185,7 +185,7 @@ def agile_args(benchmark: bool = False) -> dict[str, Any]:
 
 def agile_environment(
     satellites: tuple[type[AgileSatellite], type[AgileSatellite]],
-    arguments: dict[str, Any],
+    arguments: dict[str, object],
     as_set: bool,
     options: dict[str, Any],
     n_ahead: int = AHEAD,

@@ -48,7 +48,7 @@ def as_dtype(dtype: Any) -> torch.dtype | None:
     return kind
 
 
-def common_dtype(dtype: Any, satellites: Iterable[Satellite]) -> torch.dtype:
+def common_dtype(dtype: object, satellites: Iterable[Satellite]) -> torch.dtype:
     """Return the type of observations of an environment: ``dtype`` or, if None, the one that its satellites name."""
     if (kind := as_dtype(dtype)) is not None:
         return kind
@@ -85,7 +85,7 @@ def _on_orbit(sat_args: Any, orbit: object) -> Any:
     return {**given, "oe": orbit}
 
 
-def _called_on_orbit(function: Callable[[], Mapping[str, object]], orbit: object) -> Any:
+def _called_on_orbit(function: Callable[[], Mapping[str, object]], orbit: object) -> object:
     return _on_orbit(function(), orbit)
 
 

@@ -271,7 +271,7 @@ class Scenario:
             raise ValueError(f"{type(self).__name__}.draw(key) returns {' but earlier '.join(forms)}; all calls must agree")
         return values
 
-    def _check_drawn(self, values: Any, rows: int) -> None:
+    def _check_drawn(self, values: object, rows: int) -> None:
         title = f"{type(self).__name__}.draw(key)"
         if not isinstance(values, Mapping):
             raise TypeError(f"{title} returns {values!r}; it must return a dictionary of tensors, {{name: tensor}}")

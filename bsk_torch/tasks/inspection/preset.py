@@ -275,7 +275,7 @@ def fuel(satellite: sats.BoundSatellite) -> Tensor:
     return satellite.fsw.dv_available
 
 
-def inspector_args() -> dict[str, Any]:
+def inspector_args() -> dict[str, object]:
     """Return the arguments of inspectors except their orbits."""
     return dict(
         imageAttErrorRequirement=1.0,
