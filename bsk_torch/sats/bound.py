@@ -44,7 +44,7 @@ class SatelliteFleet(Fleet):
         See :class:`bsk_torch.sats.bound.OtherSatellite`; KeyError for an unknown name, with the nearest one.
         """
         whole, number = self.find(name)
-        return whole.member(number)
+        return OtherSatellite(whole, number, 1)
 
     def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
         """Return ``read`` of every satellite, [N, S, ...]; ``missing`` for types without it, AttributeError if no type has it."""
@@ -290,10 +290,6 @@ class BoundSatellite(Satellite):
     def functions(self) -> list[UserFunction]:
         """User functions that the satellites call; an environment tries them when it is built."""
         return []
-
-    def member(self, number: int, times: int = 1) -> OtherSatellite:
-        """Return a read-only view of satellite ``number`` of the type in each environment, each row repeated ``times`` times."""
-        return OtherSatellite(self, number, times)
 
     def title(self, row: int) -> str:
         """Return the name of the satellite of a row [N] in errors."""

@@ -414,7 +414,7 @@ def asked(components: Iterable[Component], values: Values) -> list[tuple[Compone
     return pairs
 
 
-Call = TypeVar("Call", bound=Callable[[object], None])
+Call = TypeVar("Call", bound=Callable[[Any], None])
 
 
 def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None:

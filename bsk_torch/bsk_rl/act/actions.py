@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.utils.functional import Resetable, ResetableGroup
+from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup
 
 __all__ = ["Action", "ActionBuilder", "select_action_builder"]
 
@@ -72,17 +72,10 @@ class ActionBuilder(ABC, ResetableGroup):
         """Begin an action."""
 
 
-class Action(ABC, Resetable):
-    """An action. Subclasses define :meth:`set_action`.
-
-    Attributes:
-        satellite: The satellite that acts.
-        simulator: The simulation of the episode.
-    """
+class Action(ABC, Part):
+    """An action. Subclasses define :meth:`set_action`."""
 
     builder_type: ClassVar[type[ActionBuilder]]
-    satellite: Any
-    simulator: Any
 
     def __init__(self, name: str = "act") -> None:
         """Name the action."""
@@ -92,14 +85,6 @@ class Action(ABC, Resetable):
     def may_hold_attitude(self) -> bool:
         """Whether the action may command an attitude set-point; those of users' classes may."""
         return not type(self).__module__.startswith(__name__.partition(".")[0] + ".")
-
-    def link_satellite(self, satellite: object) -> None:
-        """Store the satellite."""
-        self.satellite = satellite
-
-    def link_simulator(self, simulator: object) -> None:
-        """Store the simulation of the episode."""
-        self.simulator = simulator
 
     @abstractmethod
     def set_action(self, action: Any) -> Any:

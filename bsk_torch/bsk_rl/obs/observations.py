@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.utils.functional import Resetable, ResetableGroup, vectorize_nested_dict
+from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup, vectorize_nested_dict
 from bsk_torch.bsk_rl.utils.orbital import rv2HN
 
 __all__ = [
@@ -140,28 +140,12 @@ class ObservationBuilder(ResetableGroup):
         return self.obs_array_keys()
 
 
-class Observation(ABC, Resetable):
-    """Part of an observation. Subclasses define :meth:`get_obs`.
-
-    Attributes:
-        satellite: The satellite that observes.
-        simulator: The simulation of the episode.
-    """
-
-    satellite: Any
-    simulator: Any
+class Observation(ABC, Part):
+    """Part of an observation. Subclasses define :meth:`get_obs`."""
 
     def __init__(self, name: str = "obs") -> None:
         """Name the observation."""
         self.name = name
-
-    def link_satellite(self, satellite: object) -> None:
-        """Store the satellite."""
-        self.satellite = satellite
-
-    def link_simulator(self, simulator: object) -> None:
-        """Store the simulation of the episode."""
-        self.simulator = simulator
 
     @abstractmethod
     def get_obs(self) -> Any:

@@ -52,6 +52,21 @@ class Resetable:
         """Prepare an episode, at time zero."""
 
 
+class Part(Resetable):
+    """An action or an observation: ``satellite`` is the satellite that has it, ``simulator`` the simulation of the episode."""
+
+    satellite: Any
+    simulator: Any
+
+    def link_satellite(self, satellite: object) -> None:
+        """Store the satellite."""
+        self.satellite = satellite
+
+    def link_simulator(self, simulator: object) -> None:
+        """Store the simulation of the episode."""
+        self.simulator = simulator
+
+
 class ResetableGroup(Resetable):
     """Passes the hooks on to its parts, after those of the class itself."""
 
