@@ -14,7 +14,7 @@ __all__ = ["Data", "DataStore", "GlobalReward"]
 
 logger = logging.getLogger(__name__)
 
-LogStateType = object
+LogStateType = Any
 """What a store reads from its satellite at the end of a step."""
 
 

@@ -228,7 +228,7 @@ class RSOImageReward(GlobalReward):
     def _credit(
         self, stage: str, reward_fn: RewardFunction, records: list[RSOImageRecord], names: Iterable[str]
     ) -> dict[str, float]:
-        reward, last, groups = dict.fromkeys(names, 0.0), self._last[stage], defaultdict[object, list[RSOImageRecord]](list)
+        reward, last, groups = dict.fromkeys(names, 0.0), self._last[stage], defaultdict[Any, list[RSOImageRecord]](list)
         for record in records:
             if record.quality >= self.quality_threshold:
                 imager = record.source_imager if self.multi_imager_credit == "per_imager" else ""

@@ -60,13 +60,6 @@ def _epoch(arg: Arg, value: object) -> float:
         raise ValueError(f"{arg.name}: {error}") from error
 
 
-def _random_epochs(arg: Arg, epochs: RandomEpoch, key: Key) -> Tensor:
-    """Return drawn epochs, [n] s of ET; words, which take longer to read than most simulators to reset, only for the error."""
-    et, (first, last) = epochs.draw_et(key), coverage()
-    inside = bool(((first <= et) & (et <= last)).all())
-    return et if inside else convert(arg, epochs.draw(key), len(key))
-
-
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
     values = values.cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
@@ -474,7 +467,10 @@ class Arguments:
             if arg.kind in ("constant", "stations"):
                 return value
             if isinstance(value, RandomEpoch) and arg.kind == "utc":
-                return _random_epochs(arg, value, key.named(arg.name))
+                of_arg, (first, last) = key.named(arg.name), coverage()
+                drawn = value.draw_et(of_arg)  # words, which take longer to read, only for the error
+                inside = bool(((first <= drawn) & (drawn <= last)).all())
+                return drawn if inside else convert(arg, value.draw(of_arg), len(key))
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key), et)
             if callable(value):
