@@ -22,7 +22,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -282,7 +282,7 @@ def _et(date: datetime, second: float, scale: str) -> float:
     return tt + float(_tdb_minus_tt(tt))
 
 
-def _tdb_minus_tt(tt: Any) -> Any:
+def _tdb_minus_tt(tt: np.ndarray | float) -> np.ndarray | float:
     """TDB - TT in s: one term in the Earth's eccentric anomaly (naif0012, DELTET/K, EB and M).
 
     ``K sin E`` with ``E = M + e sin M``, ``M = M0 + M1 tt``, ``K = 1.657e-3 s`` and ``e = 1.671e-2``.
