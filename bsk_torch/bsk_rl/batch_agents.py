@@ -75,11 +75,11 @@ class AgentsVector:
         self.action_spaces = {agent: batch_space(space, num_envs) for agent, space in action_spaces.items()}
         self._started = False
 
-    def observation_space(self, agent: object) -> spaces.Space[Any]:
+    def observation_space(self, agent: object) -> spaces.Space[object]:
         """Space of an agent's observations in all environments."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: object) -> spaces.Space[Any]:
+    def action_space(self, agent: object) -> spaces.Space[object]:
         """Space of an agent's actions in all environments."""
         return self.action_spaces[agent]
 

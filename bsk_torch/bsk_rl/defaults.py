@@ -117,7 +117,7 @@ ARRAYS = ("nHat_B",)
 """Vectors that are arrays in bsk_rl; others are lists."""
 
 
-def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> dict[str, Any]:
+def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> dict[str, object]:
     """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
     for name, value in updates.items():
         if name in base and np.any(base[name] != value):

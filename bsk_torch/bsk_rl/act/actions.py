@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from copy import deepcopy
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup
 
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
+
 __all__ = ["Action", "ActionBuilder", "select_action_builder"]
 
 
-def select_action_builder(satellite: Any) -> ActionBuilder:
+def select_action_builder(satellite: Satellite) -> ActionBuilder:
     """Return the builder of a satellite's actions.
 
     Raises:
@@ -38,7 +42,7 @@ class ActionBuilder(ABC, ResetableGroup):
         action_spec: The actions, copies of those of the satellite's class.
     """
 
-    def __init__(self, satellite: Any) -> None:
+    def __init__(self, satellite: Satellite) -> None:
         """Copy and link the actions of a satellite."""
         self.satellite = satellite
         self.simulator: Any = None
@@ -59,12 +63,12 @@ class ActionBuilder(ABC, ResetableGroup):
 
     @property
     @abstractmethod
-    def action_space(self) -> Any:
+    def action_space(self) -> object:
         """Space of the actions."""
 
     @property
     @abstractmethod
-    def action_description(self) -> Any:
+    def action_description(self) -> object:
         """Names of the actions."""
 
     @abstractmethod

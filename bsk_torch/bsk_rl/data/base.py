@@ -48,7 +48,7 @@ class DataStore(ABC):
         self.satellite = satellite
         self.staged_data: list[object] = []
         self.data: Any = initial_data if initial_data else self.data_type()
-        self.new_data: Any = self.data_type()
+        self.new_data: object = self.data_type()
 
     def get_log_state(self) -> LogStateType:
         """Return the state from which new data is found, by comparison with the state of the previous step."""
@@ -58,7 +58,7 @@ class DataStore(ABC):
     def compare_log_states(self, old_state: LogStateType, new_state: LogStateType) -> Any:
         """Return the data of a step from what :meth:`get_log_state` returned before and after it."""
 
-    def update_from_logs(self) -> Any:
+    def update_from_logs(self) -> object:
         """Add the data of a step, and return it; the first call, at reset, only reads the state."""
         if not hasattr(self, "log_state"):
             self.log_state = self.get_log_state()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
@@ -18,6 +18,10 @@ from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.data.mixed import check_channels, check_no_ids, scenario_id
 from bsk_torch.scene.mixed import as_dictionary, check_known, names_by_key
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "MixedDataStore", "MixedReward"]
 
@@ -62,7 +66,7 @@ class PassingStore(DataStore):
         """Pass each store its data."""
 
     @override
-    def update_from_logs(self) -> Any:
+    def update_from_logs(self) -> object:
         new_data = super().update_from_logs()
         self.pass_data()
         return new_data
@@ -80,10 +84,10 @@ class ComposedDataStore(PassingStore):
 
     def __init__(
         self,
-        satellite: Any,
+        satellite: Satellite,
         *data_store_types: type[DataStore],
         initial_data: ComposedData | None = None,
-        data_store_kwargs: list[dict[str, Any]] | None = None,
+        data_store_kwargs: list[dict[str, object]] | None = None,
     ) -> None:
         """Create stores of ``data_store_types``, each with further arguments; ValueError for another number of these."""
         super().__init__(satellite, initial_data)
@@ -101,7 +105,7 @@ class ComposedDataStore(PassingStore):
         for store, unit in zip(self.data_stores, self.data.data, strict=False):
             store.data = unit
 
-    def get_log_state(self) -> list[Any]:
+    def get_log_state(self) -> list[object]:
         """See :meth:`DataStore.get_log_state`; those of all stores."""
         return [store.get_log_state() for store in self.data_stores]
 
@@ -179,7 +183,7 @@ class ComposedReward(RewarderGroup):
     def initial_data(self, satellite: object) -> ComposedData:
         return ComposedData(*(rewarder.initial_data(satellite) for rewarder in self.rewarders))
 
-    def create_data_store(self, satellite: Any) -> None:
+    def create_data_store(self, satellite: Satellite) -> None:
         """Give a satellite one store of each kind."""
         satellite.data_store = ComposedDataStore(
             satellite,
@@ -254,7 +258,7 @@ class MixedDataStore(PassingStore):
 
     data_type = MixedData
 
-    def __init__(self, satellite: Any, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
+    def __init__(self, satellite: Satellite, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
         """Combine the store of each channel; the data at the start is that of the stores unless ``initial_data`` is given."""
         self.data_stores = dict(data_stores)
         data = MixedData({key: store.data for key, store in self.data_stores.items()})
@@ -269,7 +273,7 @@ class MixedDataStore(PassingStore):
         for key, store in self.data_stores.items():
             store.data = self.data.data[key]
 
-    def get_log_state(self) -> dict[str, Any]:
+    def get_log_state(self) -> dict[str, object]:
         """See :meth:`DataStore.get_log_state`; those of all stores."""
         return {key: store.get_log_state() for key, store in self.data_stores.items()}
 
@@ -279,7 +283,7 @@ class MixedDataStore(PassingStore):
             {key: store.compare_log_states(prev_state[key], new_state[key]) for key, store in self.data_stores.items()}
         )
 
-    def update_from_logs(self) -> Any:
+    def update_from_logs(self) -> object:
         """See :meth:`DataStore.update_from_logs`; stores begin with the data that the satellite has now."""
         self.pass_data()
         return super().update_from_logs()
@@ -359,11 +363,11 @@ class MixedReward(RewarderGroup):
         """Return the rewarders of the channels in which a satellite collects data."""
         return {key: rewarder for key, rewarder in self.rewarders.items() if satellite.name in self.satellite_mapping[key]}
 
-    def initial_data(self, satellite: Any) -> MixedData:
+    def initial_data(self, satellite: Satellite) -> MixedData:
         """See :meth:`GlobalReward.initial_data`; that of the satellite's channels."""
         return MixedData({key: rewarder.initial_data(satellite) for key, rewarder in self.channels_of(satellite).items()})
 
-    def create_data_store(self, satellite: Any) -> None:
+    def create_data_store(self, satellite: Satellite) -> None:
         """Give a satellite the stores of its channels, as their rewarders make them."""
         stores = {}
         for key, rewarder in self.channels_of(satellite).items():

@@ -57,7 +57,7 @@ def target_properties(imager: Any, target: Any) -> dict[str, Any]:
 class RSOTargetProperties(Observation):
     """Properties of the first candidates of an imager, in the order of :class:`~bsk_torch.bsk_rl.act.ImageRSO`."""
 
-    def __init__(self, *properties: Mapping[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets") -> None:
+    def __init__(self, *properties: Mapping[str, object], n_ahead_observe: int = 10, name: str = "rso_targets") -> None:
         """Observe ``n_ahead_observe`` candidates; ValueError for a wrong argument.
 
         Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import bisect
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -56,7 +56,7 @@ class OpportunityQueries(ABC):
         return self._by_object(self.upcoming_opportunities, self._accepts(types, filter))
 
     @staticmethod
-    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[object, list[Window]]:
+    def _by_object(opportunities: Sequence[Opportunity], accepts: Filter) -> dict[object, list[Window]]:
         windows: dict[Any, list[Window]] = {}
         for opportunity in opportunities:
             if accepts(opportunity):
@@ -324,7 +324,7 @@ class ImagingSatellite(AccessSatellite):
             raise ValueError(f"Target {target_query} is not a known target")
         raise TypeError(f"target_query={target_query!r} must be an index, a Target or its id")
 
-    def task_target_for_imaging(self, target: Any, max_duration: float | None = None) -> None:
+    def task_target_for_imaging(self, target: Target, max_duration: float | None = None) -> None:
         """Image a target, for at most ``max_duration`` s."""
         self.logger.info("%s tasked for imaging", target)
         self.fsw.action_image(target.r_LP_P, self.buffer_name)

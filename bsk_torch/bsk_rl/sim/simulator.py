@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.run.encounters import LEFT, MET
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 logger = logging.getLogger(__name__)
 
@@ -68,9 +71,9 @@ class Simulator:
 
     def __init__(
         self,
-        satellites: Sequence[Any],
+        satellites: Sequence[Satellite],
         world_type: Any,
-        world_args: Mapping[str, Any],
+        world_args: Mapping[str, object],
         sim_rate: float = 1.0,
         max_step_duration: float = 600.0,
         time_limit: float = float("inf"),
@@ -94,8 +97,8 @@ class Simulator:
             satellite.core_row = places[column]
             satellite.set_simulator(self)
         self.world = WorldView(self.fleet.simulators[0].world, self)
-        self.dynamics_list: dict[str, Any] = {}
-        self.fsw_list: dict[str, Any] = {}
+        self.dynamics_list: dict[str, object] = {}
+        self.fsw_list: dict[str, object] = {}
         for satellite in self.satellites:
             self.dynamics_list[satellite.name] = satellite.set_dynamics(sim_rate)
             self.fsw_list[satellite.name] = satellite.set_fsw(sim_rate)

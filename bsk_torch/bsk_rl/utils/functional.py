@@ -28,7 +28,7 @@ __all__ = [
     "vectorize_nested_dict",
 ]
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
 
 class Resetable:
@@ -111,7 +111,7 @@ def default_args(**defaults: object) -> Callable[[Function], Function]:
     return declare
 
 
-def collect_default_args(object: object) -> dict[str, Any]:
+def collect_default_args(object: object) -> dict[str, object]:
     """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order.
 
     Of a class of models, the result has the arguments that its counterpart in bsk_rl declares, too.
