@@ -40,11 +40,11 @@ class Member:
     trial: object = field(compare=False)  # its value in the call that told the names
     names: frozenset[str] = field(compare=False)  # names that the function sets
 
-    def __call__(self) -> Any:
+    def __call__(self) -> object:
         """Return the value of a call of the function for this argument alone."""
         return self.ask("the function")[self.name]
 
-    def ask(self, title: str) -> dict[str, Any]:
+    def ask(self, title: str) -> dict[str, object]:
         """Return the values of a call; ValueError if it sets other arguments than the first one."""
         values = _called(self.function, title)
         if values.keys() != self.names:

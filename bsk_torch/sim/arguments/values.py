@@ -203,7 +203,7 @@ class Arguments:
         if not old and other.keys() == self.table.keys():
             return self
 
-        def wanted(values: Mapping[str, object]) -> dict[str, Any]:
+        def wanted(values: Mapping[str, object]) -> dict[str, object]:
             return {name: value for name, value in values.items() if name not in old or value is not old[name]}
 
         renewed = wanted(arguments) if isinstance(arguments, Mapping) else [wanted(values) for values in arguments]
@@ -345,7 +345,7 @@ class Arguments:
         known: Mapping[str, object] | None = None,
         answers: Sequence[Answers] | None = None,
         et: Tensor | None = None,
-    ) -> dict[str, Any]:
+    ) -> Values:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
         Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
@@ -499,7 +499,7 @@ class Arguments:
         return torch.full((1, *(size or 1 for size in arg.dims)), arg.missing, dtype=torch.float64)
 
 
-def drawn_once(arg: Arg, answer: object, key: Key, row: int) -> Any:
+def drawn_once(arg: Arg, answer: object, key: Key, row: int) -> object:
     """Return the value of a function's answer for one row of a key; a distribution is drawn."""
     return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 

@@ -2,7 +2,7 @@
 
 A fault changes arguments. What a tick reads are parameters, which components compute from the arguments in ``prepare``; so
 ``prepare`` of the same components computes them again from the changed arguments, and in the tick the parameters of the time are
-selected. Any argument of which a parameter follows can therefore change, also in components that know nothing about faults.
+selected. Every argument of which a parameter follows can therefore change, also in components that know nothing about faults.
 
 Parameters that the same faults change are a :class:`Group`. Its faults begin and end at known ticks; with these in order, e_1 to
 e_E, and the parameters P_j that follow from the faults that act after e_j, a parameter of tick k is P_j of the last ``e_j < k``.

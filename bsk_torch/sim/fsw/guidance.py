@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,6 +22,9 @@ from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.dyn.navigation import navigated
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3, only, select
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.readout.observables import Now
 
 
 class Error(NamedTuple):
@@ -95,7 +98,7 @@ def point_at_location(bus: Bus) -> None:
     point_at(bus, bus.instrument_axis_B, bus.r_LN_N, "location")
 
 
-def guided_angle(now: Any) -> Tensor:
+def guided_angle(now: Now) -> Tensor:
     """Return the angle between axis and target in the last tick of :func:`point_at_location`, [N] rad: ``4 atan |sigma_BR|``."""
     return 4.0 * torch.atan(now.location_sigma_BR.norm())
 
