@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.component import UserArguments
 from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.run.encounters import NEVER
@@ -229,7 +230,7 @@ class BoundSatellite(Satellite):
     dynamics: Any
     fsw: Any
     memory: StateTable
-    sat_args: Mapping[str, Any]
+    sat_args: UserArguments
     others: Others
     scenario: Any
     rewarder: Any
