@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from math import isnan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -15,6 +15,10 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
 from bsk_torch.sim.simulator import Simulator
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.readout.observables import Function
+
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
@@ -76,7 +80,7 @@ class Observation:
         """User functions called by the observation; an environment tries them when it is built."""
         return []
 
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         """Return functions of observables read by :meth:`get_obs`, for computation in one kernel.
 
         See :mod:`bsk_torch.sim.readout.observables`. Observables not listed are computed one by one.
@@ -194,7 +198,7 @@ class ObservationBuilder:
         return [function for reader in self._readers for function in reader.functions]
 
     @property
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         """Functions of the observables read by entries."""
         return [function for entry in self.entries for function in entry.observables()]
 
