@@ -144,7 +144,7 @@ class ConstellationTasking(Tasking):
         """Return the number of actions of each member, including the one that continues the task; 0 for continuous actions."""
         return [mask_size(self.satellites[t], 1) for t in group.types]
 
-    def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, Any]:
+    def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, object]:
         first = group.types[0]
         if self.satellites[first].obs_type is dict and not group.is_meta:
             observation: object = self._tree(trial[first], shape)
@@ -396,7 +396,7 @@ class GeneralSatelliteTasking(ConstellationTasking):
         scenario: Scenario | None = None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
         communicator: CommunicationMethod | None = None,
-        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, Any]] | None = None,
+        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, object]]] | None = None,
         **options: Any,
     ) -> None:
         """See :class:`ConstellationTasking`; ValueError for ``joint=False``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -23,7 +23,9 @@ class Randomizer:
     """Draws the arguments of a ``sat_arg_randomizer`` for the key's n environments."""
 
     def __init__(
-        self, source: Formation | Callable[[list[Satellite]], Mapping[Any, object]], satellites: Sequence[Satellite]
+        self,
+        source: Formation | Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, object]]],
+        satellites: Sequence[Satellite],
     ) -> None:
         """Check the names of the ``satellites``; the formation may raise an error."""
         self.source, self.satellites = source, list(satellites)
