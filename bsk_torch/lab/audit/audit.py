@@ -11,17 +11,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from typing_extensions import Unpack
 
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
-from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues
+from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues, JudgeOptions
 from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.rl.policies.shared_policy import member_views
@@ -182,7 +183,7 @@ class Audit:
         }
 
 
-def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options: Any) -> Audit:
+def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options: Unpack[JudgeOptions]) -> Audit:
     """Play the episodes of ``seeds`` with a policy, and value all legal actions at each decision.
 
     Args:
