@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-IMAGER: dict[str, dict[str, Any]] = {
+IMAGER: dict[str, dict[str, object]] = {
     "attention": dict(
         num_envs=128,
         rollout=32,

@@ -240,7 +240,7 @@ def team(
     as_set: bool,
     outlook: bool,
     shielded: bool,
-    options: dict[str, Any],
+    options: dict[str, object],
 ) -> ConstellationTasking:
     """Return a team of sensors, with arguments of each orbit."""
     ranks = ORDERS[one_of("order", order, ORDERS)]
