@@ -223,7 +223,7 @@ def _product(a: Array, b: Array) -> Array:
     return np.concatenate([wa * vb + wb * va + np.cross(va, vb), wa * wb - (va * vb).sum(-1, keepdims=True)], -1)
 
 
-def _stations(scene: Scene) -> list[dict[str, Any]]:
+def _stations(scene: Scene) -> list[dict[str, object]]:
     return [
         {
             "id": f"station/{k}",
