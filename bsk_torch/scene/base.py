@@ -225,7 +225,7 @@ class Scenario:
         """Return whether satellites of a type can see the targets ``target`` [n] at which they look, [n] bool (default: all)."""
         return torch.ones_like(target, dtype=torch.bool)
 
-    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+    def _own_arguments(self, satellite: Satellite) -> dict[str, object]:
         """Return the ``sat_args`` of a satellite that follow from the scenario, whatever the user has given."""
         return {}
 
