@@ -199,7 +199,7 @@ class Program(Generic[V]):
         home.values[key] = value
         return value
 
-    def _new(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int, region: Region) -> V:
+    def _new(self, op: str, args: tuple[Value, ...], attr: object, dtype: torch.dtype, lifetime: int, region: Region) -> V:
         value = self.value_type(self, op, args, attr, dtype, lifetime, region, self.count)
         self.count += 1
         region.statements.append(value)
