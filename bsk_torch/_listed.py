@@ -167,7 +167,7 @@ PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.lab.plan
 
 
 @cache
-def makings() -> dict[str, dict[str, Any]]:
+def makings() -> dict[str, dict[str, object]]:
     """Return the training and the score of each pretrained policy, by preset.
 
     Entries, which ``scripts/tools/publish_policy.py`` has written, are ``command``, ``seed``, ``frames``, ``seconds`` and

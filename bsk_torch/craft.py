@@ -227,7 +227,7 @@ DRAWS = 16
 """Draws of three moments, of which 85 % are those of a body: all fail with a probability of 5e-14."""
 
 
-def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0) -> dict[str, Any]:
+def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0) -> dict[str, object]:
     """Return a class of AEOS-Bench's satellites: random bodies of 50 to 200 kg with three wheels on the body axes.
 
     AEOS-Bench (arXiv 2510.26297) draws wheels of five momenta; mass, inertia, wheel speeds, panels and power are random. Its

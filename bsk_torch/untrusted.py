@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 else:
 
     class Json:
-        """Any content of a JSON file: finite numbers, whole ones of 64 bits."""
+        """The content of a JSON file: finite numbers, whole ones of 64 bits."""
 
         @classmethod
         def __get_pydantic_core_schema__(cls, source: object, handler: object) -> object:
