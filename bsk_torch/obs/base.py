@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,11 +14,8 @@ from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
+from bsk_torch.sim.readout.observables import Function
 from bsk_torch.sim.simulator import Simulator
-
-if TYPE_CHECKING:
-    from bsk_torch.sim.readout.observables import Function
-
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""

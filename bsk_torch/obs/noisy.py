@@ -6,7 +6,7 @@ import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,10 +17,7 @@ from bsk_torch.rand import Choice, Distribution, Key, Normal
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
-
-if TYPE_CHECKING:
-    from bsk_torch.sim.readout.observables import Function
-
+from bsk_torch.sim.readout.observables import Function
 
 Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""

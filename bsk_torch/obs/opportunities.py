@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -25,12 +24,8 @@ from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, instrument_kind, is_target
-from bsk_torch.sim.readout.observables import observable
+from bsk_torch.sim.readout.observables import Function, observable
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sim.readout.observables import Function
-
 
 Preset = Callable[..., Tensor]
 """A function of the satellite and its next opportunities that returns [N, n] or [N, n, width]."""

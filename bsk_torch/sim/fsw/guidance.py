@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,10 +21,8 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.dyn.navigation import navigated
 from bsk_torch.sim.faults.declared import may_change
+from bsk_torch.sim.readout.observables import Now
 from bsk_torch.vec3 import Mat3, Vec3, only, select
-
-if TYPE_CHECKING:
-    from bsk_torch.sim.readout.observables import Now
 
 
 class Error(NamedTuple):
