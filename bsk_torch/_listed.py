@@ -167,7 +167,7 @@ PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.lab.plan
 
 
 @cache
-def makings() -> dict[str, dict[str, Any]]:
+def makings() -> dict[str, dict[str, object]]:
     """Return the training and the score of each pretrained policy, by preset.
 
     Entries, which ``scripts/tools/publish_policy.py`` has written, are ``command``, ``seed``, ``frames``, ``seconds`` and
@@ -212,7 +212,7 @@ def refuse_constellation(**options: object) -> NoReturn:
     )
 
 
-OWN: dict[str, dict[str, Any]] = {
+OWN: dict[str, dict[str, object]] = {
     "SatelliteTasking-v1": {**ONE, "kwargs": {"core": satellite_tasking}},
     "GeneralSatelliteTasking-v1": {**MANY, "kwargs": {"core": general_satellite_tasking}},
     "ConstellationTasking-v1": {"entry_point": refuse_constellation, "vector_entry_point": refuse_constellation},

@@ -50,7 +50,7 @@ def octet(near: float, far: float, high: float, thrust: float | str) -> list[Thr
     ]
 
 
-def cubesat(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
+def cubesat(h: float = 1.0, law: str = "steering") -> dict[str, object]:
     """Return a 6U CubeSat of 12 kg: four NanoAvionics RW0 wheels with friction, 40 Wh, deployed panels, thrusters of 1 mN.
 
     Null motion keeps the wheels off zero speed, two in each direction, since friction disturbs most where speeds change sign.
@@ -108,7 +108,7 @@ def imager(h: float = 1.0, law: str = "feedback") -> dict[str, Any]:
     )
 
 
-def agile_imager(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
+def agile_imager(h: float = 1.0, law: str = "steering") -> dict[str, object]:
     """Return an agile imaging satellite of 1,000 kg: four wheels of 250 N m s and 15 N m, as strong as control moment gyros.
 
     For the arguments, see :func:`cubesat`.
@@ -227,7 +227,7 @@ DRAWS = 16
 """Draws of three moments, of which 85 % are those of a body: all fail with a probability of 5e-14."""
 
 
-def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0) -> dict[str, Any]:
+def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0) -> dict[str, object]:
     """Return a class of AEOS-Bench's satellites: random bodies of 50 to 200 kg with three wheels on the body axes.
 
     AEOS-Bench (arXiv 2510.26297) draws wheels of five momenta; mass, inertia, wheel speeds, panels and power are random. Its
@@ -294,8 +294,8 @@ def _spacecraft(
     battery: float,
     h: float,
     law: str,
-    **further: Any,
-) -> dict[str, Any]:
+    **further: object,
+) -> dict[str, object]:
     """Return the arguments of a body with wheels, thrusters and a battery of so many Wh, with proposed gains."""
     capacity = battery * 3600.0
     return {

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -188,19 +187,9 @@ def walker_delta_args(
         phasing: Walker's F, instead of ``rel_phasing``: neighbors in adjacent planes are F 360 / T degrees apart, where T counts
             clusters; an integer from 0 to ``n_planes - 1``.
     """
-    return _Walker(
-        title="walker_delta_args",
-        nodes=DELTA_NODES,
-        n_planes=n_planes,
-        rel_phasing=rel_phasing,
-        altitude=altitude,
-        inc=inc,
-        randomize_true_anomaly=randomize_true_anomaly,
-        randomize_lan=randomize_lan,
-        clustersize=clustersize,
-        clusterspacing=clusterspacing,
-        phasing=phasing,
-    )
+    turned = randomize_true_anomaly, randomize_lan
+    clusters = clustersize, clusterspacing
+    return _Walker("walker_delta_args", DELTA_NODES, n_planes, rel_phasing, altitude, inc, *turned, *clusters, phasing)
 
 
 def walker_star_args(
@@ -218,19 +207,9 @@ def walker_star_args(
 
     Arguments and errors are those of :func:`walker_delta_args`.
     """
-    return _Walker(
-        title="walker_star_args",
-        nodes=STAR_NODES,
-        n_planes=n_planes,
-        rel_phasing=rel_phasing,
-        altitude=altitude,
-        inc=inc,
-        randomize_true_anomaly=randomize_true_anomaly,
-        randomize_lan=randomize_lan,
-        clustersize=clustersize,
-        clusterspacing=clusterspacing,
-        phasing=phasing,
-    )
+    turned = randomize_true_anomaly, randomize_lan
+    clusters = clustersize, clusterspacing
+    return _Walker("walker_star_args", STAR_NODES, n_planes, rel_phasing, altitude, inc, *turned, *clusters, phasing)
 
 
 def _check_counts(**counts: object) -> None:
@@ -309,7 +288,7 @@ def _arguments(title: str, args: Sequence[Arg], values: Mapping[str, object]) ->
     return Arguments([Component(slot="formation", args=tuple(args))], values, title)
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False)
 class _Walker(Formation):
     title: str
     nodes: float
@@ -456,8 +435,8 @@ def relative_to_chief(
 @dataclass(eq=False)
 class _Relative(Formation):
     chief_name: str
-    chief_orbit: Any
-    deputy_relative_state: Mapping[str, Any]
+    chief_orbit: object
+    deputy_relative_state: Mapping[str, object]
     mu: float
 
     def __post_init__(self) -> None:

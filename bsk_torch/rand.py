@@ -72,7 +72,7 @@ BLOCKS_AT_ONCE = 1 << 14
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 
-def philox(counter: Sequence[Tensor], key: Sequence[Tensor], rounds: int = 10) -> tuple[Tensor, ...]:
+def philox(counter: Sequence[Tensor], key: Sequence[Tensor]) -> tuple[Tensor, ...]:
     """Return four random 32-bit numbers, in int64, for four counter words and two key words of one shape, on the CPU.
 
     A round multiplies two counter words by constants, and exchanges and mixes high and low halves with the key::
@@ -84,7 +84,7 @@ def philox(counter: Sequence[Tensor], key: Sequence[Tensor], rounds: int = 10) -
     """
     c0, c1, c2, c3 = (word.numpy().astype(np.uint64) for word in counter)
     k0, k1 = (word.numpy().astype(np.uint64) for word in key)
-    for _ in range(rounds):
+    for _ in range(10):
         p0, p1 = c0 * PHILOX_MULTIPLIERS[0], c2 * PHILOX_MULTIPLIERS[1]
         c0, c1, c2, c3 = (p1 >> WORD_BITS) ^ c1 ^ k0, p1 & LOW_WORD, (p0 >> WORD_BITS) ^ c3 ^ k1, p0 & LOW_WORD
         k0, k1 = (k0 + PHILOX_WEYL[0]) & LOW_WORD, (k1 + PHILOX_WEYL[1]) & LOW_WORD
@@ -576,7 +576,7 @@ def random_circular_orbit(
     r_body: float = 6371.0,
     Omega: float | None = None,
     f: float | None = None,
-) -> Any:
+) -> object:
     """Return a distribution of circular orbits with argument of perigee zero; like :func:`random_orbit`.
 
     Args:

@@ -50,10 +50,10 @@ if TYPE_CHECKING:
 else:
 
     class Json:
-        """Any content of a JSON file: finite numbers, whole ones of 64 bits."""
+        """The content of a JSON file: finite numbers, whole ones of 64 bits."""
 
         @classmethod
-        def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
+        def __get_pydantic_core_schema__(cls, source: object, handler: object) -> object:
             from pydantic import AfterValidator, JsonValue
 
             return handler(Annotated[JsonValue, AfterValidator(_checked_numbers)])
@@ -63,7 +63,7 @@ class NotRead:
     """Annotation of a dataclass's field that no file has."""
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
+    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> object:
         from pydantic_core import core_schema
 
         return core_schema.none_schema()
@@ -300,7 +300,7 @@ def gunzip(content: bytes, most: int) -> bytes:
 # -- tensors ------------------------------------------------------------------------------------------------------------------
 
 
-def read_tensors(content: bytes, entry: str | None = None, device: torch.device | str = "cpu") -> tuple[Any, bytes | None]:
+def read_tensors(content: bytes, entry: str | None = None, device: torch.device | str = "cpu") -> tuple[object, bytes | None]:
     """Return what ``torch.save`` has put into an archive, and the bytes of another ``entry`` of it, None without one.
 
     Tensors are plain ones, and together not larger than the archive. ValueError for anything else; nothing is executed.

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -126,7 +126,9 @@ def parse_utc(text: str | datetime) -> float:
     except (ValueError, OverflowError) as error:
         raise ValueError(f"epoch {text!r} is not a valid UTC time: {error}") from error
     et = _et(date, second, scale)
-    _check_coverage(et, text)
+    first, last = coverage()
+    if not first <= et <= last:
+        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {coverage_in_words()} (TDB)")
     return et
 
 
@@ -280,19 +282,13 @@ def _et(date: datetime, second: float, scale: str) -> float:
     return tt + float(_tdb_minus_tt(tt))
 
 
-def _tdb_minus_tt(tt: Any) -> Any:
+def _tdb_minus_tt(tt: np.ndarray | float) -> np.ndarray | float:
     """TDB - TT in s: one term in the Earth's eccentric anomaly (naif0012, DELTET/K, EB and M).
 
     ``K sin E`` with ``E = M + e sin M``, ``M = M0 + M1 tt``, ``K = 1.657e-3 s`` and ``e = 1.671e-2``.
     """
     mean_anomaly = 6.239996 + 1.99096871e-7 * tt
     return 1.657e-3 * np.sin(mean_anomaly + 1.671e-2 * np.sin(mean_anomaly))
-
-
-def _check_coverage(et: float, text: str | datetime) -> None:
-    first, last = coverage()
-    if not first <= et <= last:
-        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {coverage_in_words()} (TDB)")
 
 
 @cache

@@ -193,7 +193,8 @@ def _calendar(text: str) -> Epoch:
         if match[2]:
             if scale != "UTC":
                 raise _UnknownFormError("only UTC has offsets")
-            ahead = _offset(match[2])
+            hours, _, minutes = match[2][1:].partition(":")
+            ahead = timedelta(hours=int(hours), minutes=int(minutes or 0)) * (-1 if match[2][0] == "-" else 1)
     elif match := ZONE.search(rest):
         ahead, rest = timedelta(hours=ZONES[match[1]]), _without(rest, match)
     if match := HALF.search(rest):
@@ -215,12 +216,6 @@ def _calendar(text: str) -> Epoch:
 
 def _without(text: str, match: re.Match[str]) -> str:
     return f"{text[: match.start()]} {text[match.end() :]}".strip()
-
-
-def _offset(text: str) -> timedelta:
-    hours, _, minutes = text[1:].partition(":")
-    size = timedelta(hours=int(hours), minutes=int(minutes or 0))
-    return -size if text[0] == "-" else size
 
 
 def _date(text: str, slash: bool) -> tuple[datetime, str | None]:

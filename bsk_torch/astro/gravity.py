@@ -92,12 +92,12 @@ J2 = -float(_unnormalised(2)[0][2, 0])
 """The Earth's oblateness."""
 
 
-def _total(terms: list[Any]) -> Any:
+def _total(terms: list[Tensor]) -> Tensor:
     """Return the sum, smallest terms (the last) first, which rounds least."""
     return functools.reduce(operator.add, reversed(terms))
 
 
-def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Any]:
+def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Tensor]:
     """Return the factors P[n, m] that V[n, m] and W[n, m] have in common, for n = m to ``order``, without that of P[m, m].
 
     ``P_n = ((2 n - 1) z P_n-1 - (n + m - 1) rho P_n-2) / (n - m)`` with ``P_m = 1`` and ``P_m-1 = 0``, where z stands for

@@ -33,23 +33,20 @@ SLOPE = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
 (Fornberg, "Generation of finite difference formulas on arbitrarily spaced grids", 1988)."""
 
 
-def matched_velocity(
-    positions: Callable[[Tensor], Tensor], et: Tensor, axes: Tensor, meridian: Tensor, span: float = SPAN
-) -> Tensor:
+def matched_velocity(positions: Callable[[Tensor], Tensor], et: Tensor, axes: Tensor, meridian: Tensor) -> Tensor:
     """Return velocities [n, 3], m/s in T, whose orbits from the theory's position at ET [n], s, stay nearest to the theory.
 
     The distance x from the theory's path r follows ``x'' = G(r) x + a(r) - r''`` with the gradient G of the point mass and the
     acceleration a of the simulation, the Earth's field of degree 10 and the Sun. It is linear in the change of the velocity, so
-    one solution of normal equations minimizes the sum of ``|x|^2`` over ``span`` s.
+    one solution of normal equations minimizes the sum of ``|x|^2`` over :data:`SPAN` s.
 
     Args:
         positions: Returns the theory's positions, [n, K, 3] m in the axes T, at times [K], s after ET.
         et: Epochs, [n] s.
         axes: DCM [TN] from N to T, [n, 3, 3]; z of T is the Earth's pole.
         meridian: Angle from x of T to the prime meridian at ET, [n] rad.
-        span: Seconds to match.
     """
-    steps = 2 * math.ceil(0.5 * span / SPACING)
+    steps = 2 * math.ceil(0.5 * SPAN / SPACING)
     reach = len(STENCIL) - 1
     times = SPACING * torch.arange(-reach, steps + reach + 1, dtype=torch.float64, device=et.device)
     path = positions(times)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -17,7 +15,9 @@ TINY_LENGTH = 1e-300
 """A positive number, far below the rounding error of positions, which keeps quotients finite and ranges inclusive."""
 
 
-def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any, shift: Any = None) -> Any:
+def elevation_clearance(
+    r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Tensor | float, shift: Tensor | float | None = None
+) -> Tensor:
     """Return a measure of how far a satellite B is above the minimum elevation over a place L; positive if it is visible.
 
     The measure is ``cos(theta) - cos(theta_max)``, with theta the angle at the Earth's center between B and L::

@@ -115,7 +115,7 @@ class Transfers(NamedTuple):
         if deputies:
             drift = drift - motion.at(moment, *deputies)
         rv = Mat3(*(row.map(lambda x: x[moment].unsqueeze(1)) for row in motion.rv))
-        return Vec3(*(_plus_dot(start.unsqueeze(-2), row, self.dv) for start, row in zip(drift, rv, strict=True)))
+        return Vec3(*(_dot(row, self.dv, start.unsqueeze(-2)) for start, row in zip(drift, rv, strict=True)))
 
 
 def transfers(motion: LinearMotion, rho: Tensor, velocity: Tensor, targets: Tensor, most: Tensor | None = None) -> Transfers:
@@ -165,14 +165,10 @@ def _closest(a: Vec3, b: Vec3, square: Tensor) -> Tensor:
     return torch.addcmul(square, part, torch.addcmul(along + along, part, length)).clamp_(min=0.0)
 
 
-def _dot(a: Vec3, b: Vec3) -> Tensor:
-    """Return the scalar product with fewer passes over the memory than that of :class:`Vec3`."""
-    return torch.addcmul(torch.addcmul(a.x * b.x, a.y, b.y), a.z, b.z)
-
-
-def _plus_dot(start: Tensor, a: Vec3, b: Vec3) -> Tensor:
-    """Return a number plus a scalar product, likewise."""
-    return torch.addcmul(torch.addcmul(torch.addcmul(start, a.x, b.x), a.y, b.y), a.z, b.z)
+def _dot(a: Vec3, b: Vec3, start: Tensor | None = None) -> Tensor:
+    """Return the scalar product, plus ``start``, with fewer passes over the memory than that of :class:`Vec3`."""
+    first = a.x * b.x if start is None else torch.addcmul(start, a.x, b.x)
+    return torch.addcmul(torch.addcmul(first, a.y, b.y), a.z, b.z)
 
 
 def _rows_first(values: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -49,6 +49,10 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.sim.places import TARGET_KIND
 from bsk_torch.wrappers.gymnasium import GymVectorEnv
 
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
+
 __all__ = ["BatchedVectorEnv", "NotBatchedError", "batched_core"]
 
 
@@ -59,7 +63,7 @@ class NotBatchedError(TypeError):
 class Stock(NamedTuple):
     """A class of bsk_rl's that has a counterpart in the core."""
 
-    core: Callable[..., Any]
+    core: Callable[..., object]
     """The counterpart."""
     arguments: dict[str, str]
     """Arguments of both, and the attributes of an object of bsk_rl's class that hold them."""
@@ -132,7 +136,7 @@ ADAPTERS: dict[str, Callable[[Any], Any]] = {
 STANDARD = (uniform_priority, whole_priority, nothing)
 """Functions that stand for an argument that is not given: the counterparts have defaults of the same meaning."""
 
-DRAWS: dict[Any, Any] = {getattr(orbital, name): getattr(rand, name) for name in
+DRAWS: dict[object, object] = {getattr(orbital, name): getattr(rand, name) for name in
                          ("random_orbit", "random_circular_orbit", "random_epoch", "random_unit_vector")}  # fmt: skip
 """Functions of bsk_rl's that draw, and the core's distributions."""
 
@@ -194,7 +198,7 @@ def counterpart(part: object, *entries: object, table: Mapping[type, Stock] = CO
     })  # fmt: skip
 
 
-def observed_entries(observation: object) -> list[dict[str, Any]]:
+def observed_entries(observation: object) -> list[dict[str, object]]:
     """Return the observed quantities of an observation as the core takes them; functions may be called for each episode."""
     attribute, presets = ENTRIES.get(type(observation), ("", {}))
     entries = []
@@ -217,7 +221,7 @@ def _same(value: object, default: object) -> bool:
     return not callable(value) and type(value) is type(default) and bool(np.all(value == default))
 
 
-def check_satellite(satellite: Any, untouched: Any) -> None:
+def check_satellite(satellite: Satellite, untouched: object) -> None:
     """Raise NotBatchedError for changes of a satellite that the core's satellites do not know."""
     check_attributes(f"satellite {satellite.name}", satellite, untouched)
     if satellite.observation_builder.obs_type is not np.ndarray:
@@ -226,7 +230,7 @@ def check_satellite(satellite: Any, untouched: Any) -> None:
         raise NotBatchedError(f"satellite {satellite.name} has access filters, or looks for other types than {TARGET_KIND!r}")
 
 
-def core_satellite(satellite: Any) -> core_sats.Satellite:
+def core_satellite(satellite: Satellite) -> core_sats.Satellite:
     """Return the core's counterpart of a satellite; NotBatchedError for one that has none."""
     for kind in type(satellite).__mro__:
         if kind.__module__.startswith("bsk_torch.") or kind in (object, ABC):
@@ -317,7 +321,7 @@ class BatchedVectorEnv(GymVectorEnv):
         self.single_observation_space = spaces.Box(-LARGEST, LARGEST, one.shape, one.dtype)  # type: ignore[arg-type]
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
-    def get_attr(self, name: str) -> tuple[Any, ...]:
+    def get_attr(self, name: str) -> tuple[object, ...]:
         """Return an attribute of every episode: ``satellite``, or ``simulator``; read-only views.
 
         AttributeError for others.

@@ -75,11 +75,11 @@ class AgentsVector:
         self.action_spaces = {agent: batch_space(space, num_envs) for agent, space in action_spaces.items()}
         self._started = False
 
-    def observation_space(self, agent: object) -> spaces.Space[Any]:
+    def observation_space(self, agent: object) -> spaces.Space[object]:
         """Space of an agent's observations in all environments."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: object) -> spaces.Space[Any]:
+    def action_space(self, agent: object) -> spaces.Space[object]:
         """Space of an agent's actions in all environments."""
         return self.action_spaces[agent]
 
@@ -123,7 +123,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
     def __init__(self, core: Constellation, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
         """Wrap a simulation; ``autoreset_mode`` is ``NEXT_STEP`` or ``DISABLED``."""
         self.core = core
-        self._seats, observation_spaces, action_spaces = dict[Any, Seat](), ByAgent(), ByAgent()
+        self._seats, observation_spaces, action_spaces = dict[object, Seat](), ByAgent(), ByAgent()
         dtype = torch.empty(0, dtype=core.dtype).numpy().dtype.type
         for group in core.groups:
             shape = tuple(core.observation_spec[group.name, "observation"].shape[2:])
@@ -142,7 +142,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
         """Remaining agents of each environment."""
         return [[a for a in self.possible_agents if row[self._seats[a].column]] for row in self._present.tolist()]
 
-    def get_attr(self, name: str) -> tuple[Any, ...]:
+    def get_attr(self, name: str) -> tuple[object, ...]:
         """Return ``satellites`` of every episode, lists of read-only views; AttributeError for other attributes."""
         if name != "satellites":
             raise AttributeError(
@@ -158,7 +158,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
     # -- reset and step -----------------------------------------------------------------------------------------------
 
     def reset(
-        self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self, seed: int | Sequence[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[ByAgent, ByAgent]:
         """Start episodes; return observations and infos.
 
@@ -211,7 +211,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
         columns = (rewards * moved, ended & moved, cut.unsqueeze(-1) & moved)
         return (self._observations(results, present), *map(self._by_agent, columns), self._infos(present, duration))  # type: ignore[return-value]
 
-    def _tables(self, actions: Mapping[Any, Any]) -> list[Tensor]:
+    def _tables(self, actions: Mapping[object, object]) -> list[Tensor]:
         """Return the actions of each group, [N, A], which continue the tasks of agents without one."""
         tables = {group.name: torch.full((self.num_envs, len(group.agents)), NO_ACTION) for group in self.core.groups}
         for agent, each in actions.items():

@@ -117,7 +117,7 @@ ARRAYS = ("nHat_B",)
 """Vectors that are arrays in bsk_rl; others are lists."""
 
 
-def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> dict[str, Any]:
+def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> dict[str, object]:
     """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
     for name, value in updates.items():
         if name in base and np.any(base[name] != value):
@@ -126,7 +126,7 @@ def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> d
     return base
 
 
-def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, Any]:
+def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, object]:
     """Return all arguments of satellites of two models, by name: constants, or functions that draw a value.
 
     Args:
@@ -143,7 +143,7 @@ def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, Any]:
     return args | {name: value for name, value in values.items() if name not in args and name not in FIXED}
 
 
-def model_defaults(model: type) -> dict[str, Any]:
+def model_defaults(model: type) -> dict[str, object]:
     """Return the arguments that the methods of one model declare, without those of tasks; see :func:`sat_defaults`."""
     values = {**FIXED, **_values(model.all_components())}  # type: ignore[attr-defined]
     return _collected(model, _methods(model, {**DYN, **FSW, **WORLD}), values)

@@ -29,6 +29,7 @@ from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, SimFormatter
 from bsk_torch.env.action_forms import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, SHORTEST_TICK
+from bsk_torch.sim.component import UserArguments
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.world import WorldModel
 
@@ -55,7 +56,7 @@ SatAct = TypeVar("SatAct")
 AgentID = TypeVar("AgentID")
 MultiSatObs = tuple[SatObs, ...]
 MultiSatAct = Iterable[SatAct]
-SatArgRandomizer = Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, Any]]]
+SatArgRandomizer = Callable[[list[Satellite]], Mapping[Satellite, UserArguments]]
 
 VIZARD = "files for Vizard are not written; leave the argument out, the episodes are the same. 'bsk-torch film' makes films"
 
@@ -76,14 +77,14 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         reward_dict: Rewards of the last step by satellite, without penalties.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, object]] = {"render_modes": []}  # type: ignore[misc]
     simulator: Simulator
     _vector_form: ClassVar[Callable[..., Any]]
     """:func:`bsk_torch.bsk_rl.vector.vector_form`, set by the package."""
 
     def __new__(
         cls,
-        *args: Any,
+        *args: object,
         num_envs: int | None = None,
         vectorize: str | None = None,
         autoreset_mode: AutoresetMode | str | None = None,
@@ -102,8 +103,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         satellites: Satellite | Sequence[Satellite],
         scenario: Scenario | None = None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
-        world_type: Any = None,
-        world_args: Mapping[str, Any] | None = None,
+        world_type: type[WorldModel] | Sequence[type[WorldModel]] | None = None,
+        world_args: UserArguments | None = None,
         communicator: CommunicationMethod | None = None,
         sat_arg_randomizer: SatArgRandomizer | None = None,
         sim_rate: float = 1.0,
@@ -116,7 +117,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         log_level: int | str = logging.WARNING,
         log_dir: str | None = None,
         vizard_dir: str | None = None,
-        vizard_settings: Mapping[str, Any] | None = None,
+        vizard_settings: Mapping[str, object] | None = None,
         render_mode: str | None = None,
         *,
         backend: str = "compiled",
@@ -172,10 +173,11 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             satellite.backend = backend
             if dtype is not None:
                 satellite.observation_builder.dtype = dtype
-        self.sat_arg_randomizer: Any = sat_arg_randomizer or (lambda satellites: {})
+        self.sat_arg_randomizer: SatArgRandomizer = sat_arg_randomizer or (lambda satellites: {})
+        required = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
         if world_type is not None:
             logger.warning("Using user-specified world type. Generally, the env-determined world type is sufficient.")
-        self.world_type = self._minimum_world_model() if world_type is None else compose(world_type, WorldModel)
+        self.world_type = compose(tuple(required) if world_type is None else world_type, WorldModel)
         self.world_args_generator = _world_args(self.world_type, world_args or {})
         self.scenario = deepcopy(scenario) or Scenario()
         self.scenario.link_satellites(self.satellites)
@@ -209,10 +211,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             handler.setFormatter(SimFormatter(color_output=not isinstance(handler, logging.FileHandler)))
             handler.addFilter(ContextFilter(env=self, proc_id=os.getpid()))
             root.addHandler(handler)
-
-    def _minimum_world_model(self) -> type[WorldModel]:
-        models = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
-        return compose(tuple(models), WorldModel)
 
     def get_satellite(self, name: str) -> Satellite:
         """Return the satellite of a name; ValueError if there is none."""
@@ -291,7 +289,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
     # -- what a step gives --------------------------------------------------------------------------------------------
 
-    def _get_obs(self) -> Any:
+    def _get_obs(self) -> object:
         return tuple(
             satellite.observation_space.low * 0
             if self.generate_obs_retasking_only and not satellite.requires_retasking
@@ -300,15 +298,15 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         )
 
     def _get_info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {s.name: {"requires_retasking": s.requires_retasking} for s in self.satellites}
+        info: dict[str, object] = {s.name: {"requires_retasking": s.requires_retasking} for s in self.satellites}
         info["d_ts"] = self.latest_step_duration
         return info
 
-    def _get_reward(self) -> Any:
+    def _get_reward(self) -> object:
         deaths = sum(not satellite.is_alive(log_failure=True) for satellite in self.satellites)
         return sum(self.reward_dict.values()) + sum([self.failure_penalty] * deaths)
 
-    def _get_terminated(self) -> Any:
+    def _get_terminated(self) -> object:
         if self.terminate_on_time_limit and self._get_truncated():
             return True
         return not all(satellite.is_alive() and not self.rewarder.is_terminated(satellite) for satellite in self.satellites)
@@ -321,12 +319,12 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
     # -- spaces -------------------------------------------------------------------------------------------------------
 
     @property
-    def action_space(self) -> Any:  # type: ignore[override]
+    def action_space(self) -> spaces.Space[object]:  # type: ignore[override]
         """Tuple of the satellites' action spaces."""
         return spaces.Tuple(tuple(satellite.action_space for satellite in self.satellites))
 
     @property
-    def observation_space(self) -> Any:  # type: ignore[override]
+    def observation_space(self) -> spaces.Space[object]:  # type: ignore[override]
         """Tuple of the satellites' observation spaces; reading it before the first reset resets the environment."""
         self._know_observations()
         return spaces.Tuple([satellite.observation_space for satellite in self.satellites])
@@ -416,12 +414,12 @@ class SatelliteTasking(GeneralSatelliteTasking[SatObs, SatAct]):
         return self.satellites[0]
 
     @property
-    def action_space(self) -> Any:  # type: ignore[override]
+    def action_space(self) -> spaces.Space[object]:  # type: ignore[override]
         """Action space of the satellite."""
         return self.satellite.action_space
 
     @property
-    def observation_space(self) -> Any:  # type: ignore[override]
+    def observation_space(self) -> spaces.Space[object]:  # type: ignore[override]
         """Observation space of the satellite; reading it before the first reset resets the environment."""
         self._know_observations()
         return self.satellite.observation_space
@@ -430,7 +428,7 @@ class SatelliteTasking(GeneralSatelliteTasking[SatObs, SatAct]):
         """Carry out an action until an event ends the step."""
         return super().step([action])
 
-    def _get_obs(self) -> Any:
+    def _get_obs(self) -> object:
         return self.satellite.get_obs()
 
     def _get_info(self) -> dict[str, Any]:
@@ -438,7 +436,7 @@ class SatelliteTasking(GeneralSatelliteTasking[SatObs, SatAct]):
         return {"d_ts": info["d_ts"], **info[self.satellite.name]}
 
 
-class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[Any, Any, Any]):
+class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[object, object, object]):
     """Satellites as agents, under PettingZoo's parallel interface.
 
     Attributes:
@@ -469,8 +467,8 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
             if satellite.name not in grouped:
                 groups[satellite.name] = [satellite.name]
         self.meta_agent_groupings = {agent: [self.get_satellite(name) for name in names] for agent, names in groups.items()}
-        self.newly_dead: list[Any] = []
-        self._spaces: dict[tuple[str, Any], Any] = {}
+        self.newly_dead: list[object] = []
+        self._spaces: dict[tuple[str, object], object] = {}
         self._agents_last_compute_time: float | None = None
 
     def _validate_meta_agent_groupings(self) -> None:
@@ -504,23 +502,23 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         return self._agents_cache
 
     @property
-    def possible_agents(self) -> list[Any]:
+    def possible_agents(self) -> list[object]:
         """All agents."""
         return list(self.meta_agent_groupings)
 
     @property
-    def previously_dead(self) -> list[Any]:
+    def previously_dead(self) -> list[object]:
         """Agents that had left before the last step."""
         return [agent for agent in self.possible_agents if agent not in self.agents and agent not in self.newly_dead]
 
-    def _present(self) -> dict[Any, list[Satellite]]:
+    def _present(self) -> dict[object, list[Satellite]]:
         gone = self.previously_dead
         return {agent: members for agent, members in self.meta_agent_groupings.items() if agent not in gone}
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 
     @property
-    def observation_spaces(self) -> dict[Any, Any]:
+    def observation_spaces(self) -> dict[object, object]:
         """Observation space of each agent."""
         self._know_observations()
         self._validate_meta_agent_groupings()
@@ -529,7 +527,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         }
 
     @property
-    def action_spaces(self) -> dict[Any, Any]:
+    def action_spaces(self) -> dict[object, object]:
         """Action space of each agent."""
         return {agent: self._joined([s.action_space for s in members]) for agent, members in self.meta_agent_groupings.items()}
 

@@ -38,7 +38,7 @@ FORMS = ("auto", "batched", "episodes")
 
 
 def vector_form(
-    make: type[GeneralSatelliteTasking[Any, Any]],
+    make: type[GeneralSatelliteTasking[object, object]],
     num_envs: int,
     vectorize: str,
     autoreset_mode: AutoresetMode | str | None,
@@ -93,7 +93,7 @@ def reject_agents(num_envs: int, **_: object) -> NoReturn:
     )
 
 
-class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
+class Alone(gymnasium.Wrapper[object, object, object, object]):
     """One of several environments in a process, with separate draws of NumPy's global generator.
 
     An environment seeds the generator at reset and draws from it during the episode. Here every environment has the generator's
@@ -103,7 +103,7 @@ class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
     env: Any
     """The environment, of :mod:`bsk_torch.bsk_rl.gym`."""
 
-    def __init__(self, env: GeneralSatelliteTasking[Any, Any]) -> None:
+    def __init__(self, env: GeneralSatelliteTasking[object, object]) -> None:
         """Wrap an environment, and reset it once to know its spaces."""
         super().__init__(env)
         self._draws = np.random.get_state()
@@ -153,13 +153,15 @@ class EpisodesVectorEnv(SyncVectorEnv):
     """
 
     def __init__(
-        self, envs: Sequence[GeneralSatelliteTasking[Any, Any]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
+        self,
+        envs: Sequence[GeneralSatelliteTasking[object, object]],
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         """Put environments of the same spaces together."""
         alone = [Alone(env) for env in envs]
         super().__init__([lambda one=one: one for one in alone], autoreset_mode=parse_mode(autoreset_mode))  # type: ignore[misc]
 
-    def call(self, name: str, *args: object, **kwargs: object) -> tuple[Any, ...]:
+    def call(self, name: str, *args: object, **kwargs: object) -> tuple[object, ...]:
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
@@ -187,7 +189,7 @@ class AgentsVectorEnv(AgentsVector):
     """
 
     def __init__(
-        self, envs: Sequence[ConstellationTasking[Any, Any]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
+        self, envs: Sequence[ConstellationTasking[object, object]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
     ) -> None:
         """Put environments of the same agents together.
 
@@ -211,11 +213,11 @@ class AgentsVectorEnv(AgentsVector):
         """Remaining agents of each environment."""
         return [one.env.agents for one in self.envs]
 
-    def call(self, name: str, *args: object, **kwargs: object) -> tuple[Any, ...]:
+    def call(self, name: str, *args: object, **kwargs: object) -> tuple[object, ...]:
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
-    def get_attr(self, name: str) -> tuple[Any, ...]:
+    def get_attr(self, name: str) -> tuple[object, ...]:
         """Return an attribute of every environment."""
         return self.call(name)
 

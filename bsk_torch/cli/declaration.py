@@ -106,7 +106,7 @@ def unwrapped(text: str) -> str:
     return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
-def command(name: str, function: Callable[..., None]) -> Any:
+def command(name: str, function: Callable[..., None]) -> object:
     """Return the command ``name``, which calls a function.
 
     Its arguments and options are the parameters of the function, as their annotations declare them, those that its parameter

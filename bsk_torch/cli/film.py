@@ -7,9 +7,10 @@ import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bsk_torch.cli.declaration import EnvironmentOptions, OfPreset, Plan, PolicyOrPlanner, Seed, Trust, Until, flag
 from bsk_torch.cli.shared import PICTURES, check_file, extra
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 FILMS = (".gif", ".webp", ".mp4")
 """What the names of films end with."""
 
-Frame = np.ndarray[Any, np.dtype[np.uint8]]
+Frame = NDArray[np.uint8]
 """Picture [height, width, 3]."""
 
 

@@ -107,7 +107,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 @cache
-def loaded(name: str) -> Any:
+def loaded(name: str) -> object:
     """Return a command with its options; ends the program if its room is not installed."""
     return command(name, resolved(name, COMMANDS[name][0]))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from bsk_torch.cli.declaration import flag
 from bsk_torch.cli.shared import check_file
@@ -55,7 +55,7 @@ def windows(
         latitude, longitude, height = (torch.tensor(column, dtype=torch.float64) for column in columns)
         r_LP_P = geodetic_to_fixed(latitude.deg2rad(), longitude.deg2rad(), height)
     names = [name or f"tgt-{k}" for k, name in enumerate(places.names)]
-    cells: dict[str, list[Any]] = {"satellite": [], "place": []}
+    cells: dict[str, list[str | None]] = {"satellite": [], "place": []}
     parts, count = [], 0
     with working("searching") as progress, refusing():
         search = ground_windows(satellites, r_LP_P, et, hours * 3600.0, math.radians(min_elevation), backend)

@@ -186,7 +186,7 @@ class Program(Generic[V]):
             merged.append(inner)
         return merged
 
-    def _intern(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int) -> V:
+    def _intern(self, op: str, args: tuple[Value, ...], attr: object, dtype: torch.dtype, lifetime: int) -> V:
         """Return an equal value that is visible here, or a new one; values that outlive a tick are outside of all conditions."""
         # repr distinguishes 0.0 from -0.0
         key = (op, tuple(arg.index for arg in args), repr(attr), dtype)
@@ -199,7 +199,7 @@ class Program(Generic[V]):
         home.values[key] = value
         return value
 
-    def _new(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int, region: Region) -> V:
+    def _new(self, op: str, args: tuple[Value, ...], attr: object, dtype: torch.dtype, lifetime: int, region: Region) -> V:
         value = self.value_type(self, op, args, attr, dtype, lifetime, region, self.count)
         self.count += 1
         region.statements.append(value)

@@ -19,7 +19,7 @@ from bsk_torch.codegen.ir import Program, UntraceableError, Value, require_dtype
 class Proxy(Value):
     """A value that stands for a tensor [n] in tensor code."""
 
-    def only(self, compute: Callable[[], Sequence[Any]], otherwise: Sequence[Any]) -> list[Proxy]:
+    def only(self, compute: Callable[[], Sequence[object]], otherwise: Sequence[object]) -> list[Proxy]:
         """Return ``compute()`` where this mask holds, else ``otherwise``; computed only if it holds in some row of a block."""
         _require_mask("only", self)
         tracer = self.program
@@ -74,7 +74,7 @@ def _build(name: str, prefix: str, args: Sequence[object], kwargs: dict[str, obj
 # -- arguments ---------------------------------------------------------------------------------------------------------------
 
 
-def _program(args: Sequence[Any]) -> Program[Proxy]:
+def _program(args: Sequence[object]) -> Program[Proxy]:
     return next(arg.program for arg in args if isinstance(arg, Proxy))
 
 
@@ -180,7 +180,7 @@ def _filled(number: float) -> Callable[..., Proxy]:
     return lambda x, dtype=None, **_: _full_like(x, number, dtype)
 
 
-def _full_like(x: Proxy, number: float, dtype: torch.dtype | None = None, **_: Any) -> Proxy:
+def _full_like(x: Proxy, number: float, dtype: torch.dtype | None = None, **_: object) -> Proxy:
     return as_value(x.program, number, require_dtype(dtype) if dtype else x.dtype)
 
 
@@ -254,7 +254,7 @@ REFUSED = {
 def _operator(name: str, swapped: bool) -> Callable[[Proxy, object], object]:
     build = FUNCTIONS[name]
 
-    def method(self: Proxy, other: object) -> Any:
+    def method(self: Proxy, other: object) -> object:
         if isinstance(other, tuple):
             return NotImplemented
         return build(other, self) if swapped else build(self, other)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Hashable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -16,6 +16,9 @@ from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.state import FINITE
+
+if TYPE_CHECKING:
+    from bsk_torch.data.mixed import Looking
 
 
 class ComposedReward(GlobalReward):
@@ -75,7 +78,7 @@ class ComposedReward(GlobalReward):
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; under ``compat="bsk_rl"``, parts limit nothing that satellites may choose."""
         super().link(scenario, fleet)
-        looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
+        looking: list[Looking] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         before = [list(part.access_filters) for part in looking]
         self.checked = tuple(map(CheckedRewarder, self.rewarders))
         for part in self.checked:

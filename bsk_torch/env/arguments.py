@@ -157,7 +157,7 @@ class MadeOfArguments(Snapshots):
             other._change(self._changes)
         return other
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         state = self.state.seed, self.episode, self.get_extra_state()
         return _rebuild, (type(self), self._arguments, *state, self._changes)
 

@@ -170,12 +170,9 @@ class Tasking(Present, MadeOfArguments):
 
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
         if not isinstance(tensordict, TensorDictBase):
-            messages.reject_call(type(self).__name__, self._action_name, tensordict)
+            name = "'action'" if isinstance(self.action_keys[0], str) else f"{self.action_keys[0][0]!r}, 'action'"
+            messages.reject_call(type(self).__name__, name, tensordict)
         super()._assert_tensordict_shape(tensordict)
-
-    @property
-    def _action_name(self) -> str:
-        return "'action'"
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: object) -> TensorDict:
         if unknown:

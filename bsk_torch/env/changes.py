@@ -111,7 +111,9 @@ def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: 
 class LiveArguments(MutableMapping[str, Any]):
     """Given and default values by name; a change takes effect at the next reset."""
 
-    def __init__(self, arguments: Callable[[], Sequence[Arguments]], write: Callable[[dict[str, Any]], None], title: str) -> None:
+    def __init__(
+        self, arguments: Callable[[], Sequence[Arguments]], write: Callable[[dict[str, object]], None], title: str
+    ) -> None:
         """Look up names in ``arguments``, in order of precedence; ``write`` sets values."""
         self._arguments, self._write, self._title = arguments, write, title
 

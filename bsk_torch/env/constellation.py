@@ -144,7 +144,7 @@ class ConstellationTasking(Tasking):
         """Return the number of actions of each member, including the one that continues the task; 0 for continuous actions."""
         return [mask_size(self.satellites[t], 1) for t in group.types]
 
-    def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, Any]:
+    def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, object]:
         first = group.types[0]
         if self.satellites[first].obs_type is dict and not group.is_meta:
             observation: object = self._tree(trial[first], shape)
@@ -183,10 +183,6 @@ class ConstellationTasking(Tasking):
     def _names_of(self, group: Group) -> list[str]:
         return [self.names[k] for k in group.members[0].tolist()]
 
-    @property
-    def _action_name(self) -> str:
-        return "'action'" if self.joint else f"{self.groups[0].name!r}, 'action'"
-
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -196,7 +192,7 @@ class ConstellationTasking(Tasking):
         actions = [messages.given_action(tensordict, *key) for key in keys]
         return self.play(actions, moves)
 
-    def play(self, commands: Sequence[Any], moves: Tensor) -> TensorDict:
+    def play(self, commands: Sequence[object], moves: Tensor) -> TensorDict:
         """Execute the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
         with self.guard:
             self.guard.check_begun("step()")
@@ -242,7 +238,7 @@ class ConstellationTasking(Tasking):
         for k, satellite in enumerate(self.satellites):
             cancel(satellite, self.fleet.rows_of(k, leaving))
 
-    def _decoded(self, commands: Sequence[Any], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    def _decoded(self, commands: Sequence[object], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return the actions [N * count, ...] of each type, and masks of the actions that take effect."""
         idle = self.requires_retasking
         members: list[list[tuple[Tensor, Tensor, Tensor]]] = [[] for _ in self.satellites]
@@ -400,7 +396,7 @@ class GeneralSatelliteTasking(ConstellationTasking):
         scenario: Scenario | None = None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
         communicator: CommunicationMethod | None = None,
-        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, Any]] | None = None,
+        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, object]]] | None = None,
         **options: Any,
     ) -> None:
         """See :class:`ConstellationTasking`; ValueError for ``joint=False``."""

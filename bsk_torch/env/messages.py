@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from tensordict import TensorDictBase
 
@@ -39,7 +39,7 @@ def check_reset(kind: str, arguments: dict[str, object]) -> None:
         raise TypeError(f"{kind}.reset({name}=...) is not an argument of TorchRL's reset; {advice}")
 
 
-def given_action(tensordict: TensorDictBase, *key: str) -> Any:
+def given_action(tensordict: TensorDictBase, *key: str) -> object:
     """Return the action in a tensordict, a tensor or its parts; KeyError if it is missing."""
     action = tensordict.get(key if len(key) > 1 else key[0], None)
     if action is None:

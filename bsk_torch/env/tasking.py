@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -41,7 +40,7 @@ class SatelliteTasking(Tasking):
         scenario: Scenario | None = None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
         communicator: CommunicationMethod | None = None,
-        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, object]] | None = None,
+        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, object]]] | None = None,
         **options: object,
     ) -> None:
         """Build the environment and check its arguments; nothing is simulated before the first reset.
@@ -112,7 +111,7 @@ class SatelliteTasking(Tasking):
         """
         return self._wrapped(self.played(action, moves))
 
-    def played(self, action: object, moves: Tensor | None = None) -> dict[str, Any]:
+    def played(self, action: object, moves: Tensor | None = None) -> dict[str, object]:
         """Execute ``action`` as :meth:`play` does; return the entries as a dictionary, which is faster than a tensordict."""
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves

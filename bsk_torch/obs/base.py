@@ -14,6 +14,7 @@ from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
+from bsk_torch.sim.readout.observables import Function
 from bsk_torch.sim.simulator import Simulator
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
@@ -76,7 +77,7 @@ class Observation:
         """User functions called by the observation; an environment tries them when it is built."""
         return []
 
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         """Return functions of observables read by :meth:`get_obs`, for computation in one kernel.
 
         See :mod:`bsk_torch.sim.readout.observables`. Observables not listed are computed one by one.
@@ -194,7 +195,7 @@ class ObservationBuilder:
         return [function for reader in self._readers for function in reader.functions]
 
     @property
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         """Functions of the observables read by entries."""
         return [function for entry in self.entries for function in entry.observables()]
 

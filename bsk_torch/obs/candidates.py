@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -89,10 +89,10 @@ class CandidateProperties(CandidateObservation):
     """
 
     properties: ClassVar[Sequence[str]] = ()
-    usual: ClassVar[Sequence[dict[str, Any]]] = ()
+    usual: ClassVar[Sequence[Mapping[str, object]]] = ()
     title: ClassVar[str] = ""
 
-    def __init__(self, *properties: dict[str, Any], n_ahead_observe: int, name: str, as_set: bool) -> None:
+    def __init__(self, *properties: Mapping[str, object], n_ahead_observe: int, name: str, as_set: bool) -> None:
         """See :class:`CandidateObservation`; properties are dictionaries with ``prop``, and optionally ``norm`` and ``name``."""
         super().__init__(n_ahead_observe, name, as_set)
         self.entries = tuple(parsed(self.title, entry, self.properties) for entry in properties or self.usual)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import torch
@@ -16,7 +16,7 @@ Norm = float | Tensor
 """Divisor: a number, or one for each component of a property."""
 
 
-def parse_entries(entries: Iterable[dict[str, object]], allowed: set[str], title: str) -> tuple[dict[str, Any], ...]:
+def parse_entries(entries: Iterable[Mapping[str, object]], allowed: set[str], title: str) -> tuple[dict[str, Any], ...]:
     """Return copies of a user's dictionaries, with ``norm`` and ``name`` set.
 
     ``fn`` takes precedence over ``prop``, which is then just the label. Names are ``name``; else ``prop``, or

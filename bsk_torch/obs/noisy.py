@@ -17,6 +17,7 @@ from bsk_torch.rand import Choice, Distribution, Key, Normal
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.readout.observables import Function
 
 Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""
@@ -41,7 +42,7 @@ class Noisy(Observation):
         """Add noise to an observation.
 
         Args:
-            observation: Any observation, such as ``obs.SatProperties(...)``.
+            observation: An observation, such as ``obs.SatProperties(...)``.
             noise: Noise of each decision: the standard deviation of normal noise, a distribution of :mod:`bsk_torch.rand`, or a
                 dictionary of these by the names of properties; other properties have no noise.
             bias: Noise drawn once for each episode, likewise.
@@ -76,7 +77,7 @@ class Noisy(Observation):
         return self._reader.functions
 
     @override
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         return self.observation.observables()
 
     @override

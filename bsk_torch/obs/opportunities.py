@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
@@ -25,7 +24,7 @@ from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, instrument_kind, is_target
-from bsk_torch.sim.readout.observables import observable
+from bsk_torch.sim.readout.observables import Function, observable
 from bsk_torch.vec3 import Vec3
 
 Preset = Callable[..., Tensor]
@@ -108,7 +107,7 @@ class OpportunityProperties(CandidateObservation):
 
     def __init__(
         self,
-        *entries: dict[str, Any],
+        *entries: Mapping[str, object],
         n_ahead_observe: int,
         type: str = "target",
         name: str | None = None,
@@ -188,7 +187,7 @@ class OpportunityProperties(CandidateObservation):
         return [name for prop in props for name in NEEDS.get(prop, ())]
 
     @override
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         models = [type_of(self.satellite.dynamics), type_of(self.satellite.fsw)]
         members = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
         return [prop.function for prop in members if isinstance(prop, observable)]

@@ -11,7 +11,7 @@ All functions take satellites of batches, with tensors [N, ...].
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -208,7 +208,7 @@ class RelativeProperties(Observation):
     :class:`~bsk_torch.sats.bound.OtherSatellite`; see :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
-    def __init__(self, *entries: dict[str, Any], chief_name: str, name: str = "rel_props") -> None:
+    def __init__(self, *entries: Mapping[str, object], chief_name: str, name: str = "rel_props") -> None:
         """Observe ``entries``, see the class, of the satellite relative to the one called ``chief_name``."""
         super().__init__(name)
         self.chief_name = text("chief_name", chief_name)

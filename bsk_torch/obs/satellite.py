@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -34,7 +34,7 @@ class SatProperties(Observation):
     :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
-    def __init__(self, *entries: dict[str, Any], name: str = "sat_props") -> None:
+    def __init__(self, *entries: Mapping[str, object], name: str = "sat_props") -> None:
         """See the class; ValueError for unknown keys or equal names."""
         super().__init__(name)
         self.entries = parse_entries(entries, {"prop", "fn", "module", "norm", "name"}, "obs.SatProperties")
@@ -71,7 +71,7 @@ class SatProperties(Observation):
         return member.function if isinstance(member, observable) and not isinstance(member, vital) else None
 
     @override
-    def observables(self) -> list[Any]:
+    def observables(self) -> list[Function]:
         pairs = zip(self.entries, self.modules, strict=True)
         properties = [getattr(type(module), entry["prop"]) for entry, module in pairs if module is not None]
         return [member.function for member in properties if isinstance(member, observable)]

@@ -164,7 +164,7 @@ def __getattr__(name: str) -> type[AgileSatellite]:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def agile_args(benchmark: bool = False) -> dict[str, Any]:
+def agile_args(benchmark: bool = False) -> dict[str, object]:
     """Return orbit, agility and instrument of the benchmark suite, with a hundred times the power and storage of its defaults.
 
     With ``benchmark``, the storage is that of the suite, a thousand times the default; it never fills up in either case.
@@ -185,7 +185,7 @@ def agile_args(benchmark: bool = False) -> dict[str, Any]:
 
 def agile_environment(
     satellites: tuple[type[AgileSatellite], type[AgileSatellite]],
-    arguments: dict[str, Any],
+    arguments: dict[str, object],
     as_set: bool,
     options: dict[str, Any],
     n_ahead: int = AHEAD,

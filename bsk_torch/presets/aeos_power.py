@@ -31,7 +31,7 @@ Random at reset: as in AEOS-v1 with 1,000 targets; initial charge and wheel spee
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -150,7 +150,7 @@ class UnshieldedSetSatellite(PowerSetSatellite):
     shielded = False
 
 
-def power_args() -> dict[str, Any]:
+def power_args() -> dict[str, object]:
     """Return the arguments of the shield example, with the power draws of its nadir task."""
     battery = 160.0 * 3600.0
     return agile_args() | dict(

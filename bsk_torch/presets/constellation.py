@@ -114,7 +114,7 @@ class BroadcastInSight(comm.BroadcastCommunication, comm.LOSCommunication):
     """Broadcasts received by satellites with a line of sight."""
 
 
-def steady_args() -> dict[str, Any]:
+def steady_args() -> dict[str, object]:
     """Return arguments of agile imagers whose attitude control is stable with ticks of 1 s."""
     return {name: value for name, value in agile_args().items() if name != "oe"} | dict(K1=0.5, K3=3.0, servo_Ki=5.0)
 

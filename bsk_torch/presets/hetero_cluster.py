@@ -152,13 +152,13 @@ class RadarSetImager(OpticalSetImager):
     sees_through_clouds = True
 
 
-def optical_args() -> dict[str, Any]:
+def optical_args() -> dict[str, object]:
     """Return the arguments of the satellite of AEOSPower-v1 with gains that are stable with ticks of 1 s, for lit targets."""
     arguments = {name: value for name, value in power_args().items() if name != "oe"}
     return arguments | dict(K1=0.5, K3=3.0, servo_Ki=5.0, imageTargetMinimumSunElevation=LIT)
 
 
-def radar_args() -> dict[str, Any]:
+def radar_args() -> dict[str, object]:
     """Return the arguments of a radar on an agile spacecraft of the library."""
     return craft.agile_imager(h=1.0, law="steering") | dict(
         inst_pHat_B=[0.0, 0.0, 1.0],  # not craft's: episodes of this version stay the same

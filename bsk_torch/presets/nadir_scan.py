@@ -98,7 +98,7 @@ class ScanningSatellite(sats.AccessSatellite):
     fsw_type = fsw.ContinuousImagingFSWModel
 
 
-def scanning_args() -> dict[str, Any]:
+def scanning_args() -> dict[str, object]:
     """Return the arguments of the paper, with distributions for random ones."""
     return dict(
         dataStorageCapacity=CAPACITY,

@@ -28,8 +28,6 @@ Random at reset: as in NadirScan-v1, with the charge of the larger battery and t
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 
 from bsk_torch import obs, rand
@@ -55,7 +53,7 @@ class ScienceSatellite(ScanningSatellite):
     )
 
 
-def science_args() -> dict[str, Any]:
+def science_args() -> dict[str, object]:
     """Return the arguments of the benchmark, with distributions for random ones."""
     return scanning_args() | dict(
         batteryStorageCapacity=BATTERY,

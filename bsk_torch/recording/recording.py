@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import MaxLen
@@ -65,7 +65,7 @@ SIGMA_SCALE = 1.0 / 32767.0
 NOT_A_NUMBER = -32768
 """Stored number that stands for NaN where values are stored as 16-bit numbers."""
 
-Array = np.ndarray[Any, Any]
+Array = np.ndarray
 
 Arrays = Annotated[dict[str, Array], NotRead]
 
@@ -459,8 +459,8 @@ def _all_arrays(recording: Recording) -> Iterator[tuple[str, Form, Array]]:
                     yield f"{letter}{k}/{name}", form, arrays[name]
 
 
-def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[dict[str, object], bytes]:
-    entries: dict[str, Any] = {}
+def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[Mapping[str, object], bytes]:
+    entries: dict[str, dict[str, object]] = {}
     parts: list[bytes] = []
     offset = 0
     for name, form, value in arrays:

@@ -8,18 +8,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from bsk_torch.files import write_file
 
 __all__ = ["Columns", "Tabular", "Tasks", "number_columns", "satellite_columns"]
 
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, np.ndarray]
 """Columns of a table by name, of equal length."""
 
 

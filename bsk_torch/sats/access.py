@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.sats.access_filter import AccessFilter, Filter, make_filter
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sats.satellite import Satellite, SatelliteOptions
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 
 LONGEST_GENERATION = 1e6
@@ -19,6 +18,15 @@ LONGEST_GENERATION = 1e6
 
 LONGEST_AT_RESET = 1e7
 """Bound of the seconds for which windows are generated at reset, 116 days: they take seconds and megabytes for each episode."""
+
+
+class AccessOptions(SatelliteOptions, total=False):
+    """The same of satellites with access windows; see :class:`AccessSatellite`."""
+
+    generation_duration: float
+    initial_generation_duration: float | None
+    max_generation_duration_beyond_initial: float
+    may_see_nothing: bool
 
 
 class AccessSatellite(Satellite):
@@ -30,13 +38,13 @@ class AccessSatellite(Satellite):
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
+        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None,
         *,
         generation_duration: float = 600.0,
         initial_generation_duration: float | None = None,
         max_generation_duration_beyond_initial: float = float("inf"),
         may_see_nothing: bool = False,
-        **options: Any,
+        **options: Unpack[SatelliteOptions],
     ) -> None:
         """See :class:`~bsk_torch.sats.satellite.Satellite` for the other arguments.
 

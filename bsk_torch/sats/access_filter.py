@@ -90,7 +90,7 @@ class AccessFilter:
             self.functions[kind] = self.user_function()
         rows, places, device = len(satellite.simulator.ticks), satellite.places(kind), satellite.simulator.device
 
-        def call() -> Any:
+        def call() -> object:
             everywhere = AllPlaces(satellite, kind)
             remain = self.function(everywhere)
             same = isinstance(remain, bool) and not everywhere.differs

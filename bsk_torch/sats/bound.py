@@ -13,8 +13,10 @@ from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.fleet import NEVER, Fleet
+from bsk_torch.sim.component import UserArguments
+from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.run.encounters import NEVER
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
@@ -43,7 +45,7 @@ class SatelliteFleet(Fleet):
         See :class:`bsk_torch.sats.bound.OtherSatellite`; KeyError for an unknown name, with the nearest one.
         """
         whole, number = self.find(name)
-        return whole.member(number)
+        return OtherSatellite(whole, number, 1)
 
     def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
         """Return ``read`` of every satellite, [N, S, ...]; ``missing`` for types without it, AttributeError if no type has it."""
@@ -228,7 +230,7 @@ class BoundSatellite(Satellite):
     dynamics: Any
     fsw: Any
     memory: StateTable
-    sat_args: Mapping[str, Any]
+    sat_args: UserArguments
     others: Others
     scenario: Any
     rewarder: Any
@@ -289,10 +291,6 @@ class BoundSatellite(Satellite):
     def functions(self) -> list[UserFunction]:
         """User functions that the satellites call; an environment tries them when it is built."""
         return []
-
-    def member(self, number: int, times: int = 1) -> OtherSatellite:
-        """Return a read-only view of satellite ``number`` of the type in each environment, each row repeated ``times`` times."""
-        return OtherSatellite(self, number, times)
 
     def title(self, row: int) -> str:
         """Return the name of the satellite of a row [N] in errors."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -158,7 +158,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         state = self.simulator.state
         return self.access_windows.kinds[type].position(state.all_rows, place, state.sim_time.unsqueeze(-1))
 
-    def objects(self, type: str, place: Tensor) -> Any:
+    def objects(self, type: str, place: Tensor) -> object:
         """Return the objects of places [N, n]: :class:`~bsk_torch.sats.opportunities.TargetObjects`, else names [N, n]."""
         return TargetObjects(self, place) if is_target(type) else place_names(self, type, place)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
-from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.access import AccessOptions, AccessSatellite
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
@@ -40,7 +40,10 @@ class ImagingSatellite(AccessSatellite):
     sees_through_clouds: bool = False
 
     def __init__(
-        self, name: str, sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None, **options: Any
+        self,
+        name: str,
+        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None,
+        **options: Unpack[AccessOptions],
     ) -> None:
         """See :class:`~bsk_torch.sats.access.AccessSatellite`; the store has one partition, for images."""
         super().__init__(name, sat_args, **options)

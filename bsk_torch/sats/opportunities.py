@@ -27,7 +27,7 @@ class Viewer(Protocol):
     def positions(self, type: str, place: Tensor) -> Tensor:
         """Return the current Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
 
-    def objects(self, type: str, place: Tensor) -> Any:
+    def objects(self, type: str, place: Tensor) -> object:
         """Return the objects of places [N, n]: :class:`TargetObjects`, else names [N, n]."""
 
 
@@ -109,7 +109,7 @@ class TargetObjects:
     """Index of each target in its environment, [N, n]."""
 
     @property
-    def name(self) -> np.ndarray[Any, Any]:
+    def name(self) -> np.ndarray:
         """Name of each target, [N, n] strings."""
         count = self._satellite.simulator.count
         rows = enumerate(self.id.tolist())
@@ -132,6 +132,6 @@ def names_of(satellite: Viewer, kind: str) -> Sequence[str]:
     return places.names or [f"{kind}-{k}" for k in range(places.count)]
 
 
-def place_names(satellite: Viewer, kind: str, place: Tensor) -> np.ndarray[Any, Any]:
+def place_names(satellite: Viewer, kind: str, place: Tensor) -> np.ndarray:
     """Return the names of places [N, n] of a kind, an array of strings."""
     return np.array(names_of(satellite, kind), dtype=object)[place.cpu().numpy()]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from bsk_torch._checks import text
+from bsk_torch.sats.access import AccessOptions
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.imaging import BoundImagingSatellite, ImagingSatellite
 from bsk_torch.sim.fsw import FSWModel
@@ -37,10 +38,10 @@ class RequestSatellite(ImagingSatellite):
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
+        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None,
         *,
         sensor_types: Collection[str] | None = None,
-        **options: Any,
+        **options: Unpack[AccessOptions],
     ) -> None:
         """Describe a satellite; ValueError for wrong sensor types.
 
@@ -50,7 +51,8 @@ class RequestSatellite(ImagingSatellite):
             sensor_types: Names of the sensors that it carries, such as ``["visible"]`` (default: those of the class).
             **options: Likewise; ``may_see_nothing`` is True unless given.
         """
-        super().__init__(name, sat_args, **({"may_see_nothing": True} | options))
+        options.setdefault("may_see_nothing", True)
+        super().__init__(name, sat_args, **options)
         given = self.sensor_types if sensor_types is None else sensor_types
         if isinstance(given, str) or not isinstance(given, Collection) or len(given) > MOST_SENSORS:
             raise ValueError(f"sensor_types={given!r} must be a list of at most {MOST_SENSORS} names, such as ['visible']")

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from torch import Tensor
-from typing_extensions import Self
+from typing_extensions import Self, TypedDict
 
 from bsk_torch._checks import switch, text
 from bsk_torch.astro.element_sets import MAX_AGE_DAYS
@@ -48,7 +48,7 @@ def as_dtype(dtype: Any) -> torch.dtype | None:
     return kind
 
 
-def common_dtype(dtype: Any, satellites: Iterable[Satellite]) -> torch.dtype:
+def common_dtype(dtype: object, satellites: Iterable[Satellite]) -> torch.dtype:
     """Return the type of observations of an environment: ``dtype`` or, if None, the one that its satellites name."""
     if (kind := as_dtype(dtype)) is not None:
         return kind
@@ -85,8 +85,16 @@ def _on_orbit(sat_args: Any, orbit: object) -> Any:
     return {**given, "oe": orbit}
 
 
-def _called_on_orbit(function: Callable[[], Mapping[str, object]], orbit: object) -> Any:
+def _called_on_orbit(function: Callable[[], Mapping[str, object]], orbit: object) -> object:
     return _on_orbit(function(), orbit)
+
+
+class SatelliteOptions(TypedDict, total=False):
+    """Further arguments of all satellites; see :class:`Satellite`."""
+
+    obs_type: type
+    dtype: object
+    variable_interval: bool
 
 
 class Satellite:
@@ -176,7 +184,7 @@ class Satellite:
         cls,
         reader: Callable[..., Sequence[Any]],
         source: str | Path,
-        sat_args: Any,
+        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None,
         names: Sequence[str] | None = None,
         gravity: str = "wgs72",
         max_age_days: float = MAX_AGE_DAYS,

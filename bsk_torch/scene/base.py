@@ -244,7 +244,7 @@ class Scenario:
         """Return whether satellites of a type can see the targets ``target`` [n] at which they look, [n] bool (default: all)."""
         return torch.ones_like(target, dtype=torch.bool)
 
-    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+    def _own_arguments(self, satellite: Satellite) -> dict[str, object]:
         """Return the ``sat_args`` of a satellite that follow from the scenario, whatever the user has given."""
         return {}
 
@@ -290,7 +290,7 @@ class Scenario:
             raise ValueError(f"{type(self).__name__}.draw(key) returns {' but earlier '.join(forms)}; all calls must agree")
         return values
 
-    def _check_drawn(self, values: Any, rows: int) -> None:
+    def _check_drawn(self, values: object, rows: int) -> None:
         title = f"{type(self).__name__}.draw(key)"
         if not isinstance(values, Mapping):
             raise TypeError(f"{title} returns {values!r}; it must return a dictionary of tensors, {{name: tensor}}")

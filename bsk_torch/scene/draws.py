@@ -148,7 +148,12 @@ def _inside(distance: Tensor) -> str:
     return f"{fault}; positions are Earth-fixed, in meters, at least {MIN_RADIUS:g} m"
 
 
-def on_sphere(u: Tensor, west: Any = -math.pi, width: Any = 2.0 * math.pi, span: Any = (-1.0, 1.0)) -> Tensor:
+def on_sphere(
+    u: Tensor,
+    west: Tensor | float = -math.pi,
+    width: Tensor | float = 2.0 * math.pi,
+    span: tuple[Tensor | float, Tensor | float] = (-1.0, 1.0),
+) -> Tensor:
     """Return unit vectors [..., 3], uniformly distributed by area, for uniform numbers ``u`` [..., 2].
 
     The sine of the latitude, z, and the longitude lambda are uniform: equal intervals of z bound equal areas of a sphere::

@@ -120,8 +120,8 @@ class Targets(TargetScenario):
         """Name of every column."""
         return super().target_names if self.given_names is None else self.given_names
 
+    @override
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :class:`TargetScenario`."""
         tables = self.positions, self.exists
         r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in tables)
         priority = draw_numbers("priority", self.priorities, key.named("target_priority"), self.most_targets)

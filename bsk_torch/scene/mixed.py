@@ -128,7 +128,7 @@ class MixedScenario(Scenario):
         joined = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
         return joined[0] if len(joined) == 1 else self
 
-    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+    def _own_arguments(self, satellite: Satellite) -> dict[str, object]:
         joined = [part for part in self._parts() if satellite.name in self.members(part)]
         return {name: value for part in joined for name, value in part._own_arguments(satellite).items()}
 

@@ -129,7 +129,7 @@ class Requests(OverlaidTargets):
         self.sensor_types = _types_of(self.sensors)
 
     @classmethod
-    def from_file(cls, path: str | Path, start: str | datetime | None = None, **options: Any) -> Requests:
+    def from_file(cls, path: str | Path, start: str | datetime | None = None, **options: object) -> Requests:
         """Return the requests in a YAML, JSON or CSV file; see :mod:`bsk_torch.formats.requests`.
 
         Places are on WGS84, with its vertical; see :meth:`bsk_torch.scene.Targets.from_geodetic`.
@@ -549,7 +549,7 @@ def _checked_sensors(sensors: Any, count: int) -> Any:
     return [_names_of(entry) for entry in sensors]
 
 
-def _names_of(entry: Any) -> tuple[str, ...] | None:
+def _names_of(entry: object) -> tuple[str, ...] | None:
     if entry is None:
         return None
     if not isinstance(entry, str) and not (isinstance(entry, Collection) and entry):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -149,7 +148,7 @@ class TargetScenario(Scenario):
         return self._available
 
     @override
-    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+    def _own_arguments(self, satellite: Satellite) -> dict[str, object]:
         return {VERTICAL: self.vertical} if VERTICAL in satellite.default_sat_args() and self.vertical != "radius" else {}
 
     @override

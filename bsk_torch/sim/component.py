@@ -35,7 +35,7 @@ UserArguments = Mapping[str, Any]
 Computation = Callable[[Values], dict[str, Tensor]]  # returns fields of the state, or parameters, by name
 
 
-class Own(dict[str, Any]):
+class Own(dict[str, object]):
     """Arguments that the component in a slot reads, by name."""
 
     slot: str

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,8 +12,8 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Overrides
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
+from bsk_torch.sim.component import Values
 from bsk_torch.sim.run.coupled import Part, RunResult, Satellites, parts_of, together
-from bsk_torch.sim.run.encounters import NEVER as NEVER
 from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
@@ -24,7 +24,7 @@ class EpisodeDraw(NamedTuple):
     """Draws of n episodes: those of the scenario, and the arguments of each simulation."""
 
     scenario: dict[str, Tensor]
-    values: list[dict[str, Any]]
+    values: Sequence[Values]
     present: Tensor | None = None
     """Satellites that take part, [n, S] (default: all)."""
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
-from bsk_torch.sim.component import Layout, UserArguments
+from bsk_torch.sim.component import Layout, UserArguments, Values
 from bsk_torch.sim.names import nearest, same
 from bsk_torch.sim.state import StateTable, described, look_up
 
@@ -203,7 +203,7 @@ class SatelliteState(StateTable):
         raise KeyError(f"no argument is called {name!r}; {nearest(name, names)}")
 
     @property
-    def all_arguments(self) -> dict[str, Any]:
+    def all_arguments(self) -> Values:
         """Arguments of the current episodes by name, [rows, ...] each, and the constants."""
         return {name: self.arguments[name] for name in self.arguments} | self.constants
 

@@ -22,7 +22,7 @@ from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
 from bsk_torch.sim.assembly.composition import commanded_by
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
-from bsk_torch.sim.component import asked
+from bsk_torch.sim.component import Values, asked
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import ENDINGS, notice_image
@@ -157,7 +157,7 @@ class Simulator:
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def reset(
-        self, envs: Tensor, values: dict[str, Any], duration: Tensor, followed: Mapping[str, Samples] = MappingProxyType({})
+        self, envs: Tensor, values: Values, duration: Tensor, followed: Mapping[str, Samples] = MappingProxyType({})
     ) -> None:
         """Start new episodes in ``envs`` [n] from drawn ``values``, with windows for ``duration`` [n] s.
 

@@ -100,10 +100,10 @@ def _way(recording: Recording, track: int) -> list[tuple[int, float]]:
     return way
 
 
-def _future(recording: Recording, number: int, begin: float, start: datetime) -> list[dict[str, Any]]:
+def _future(recording: Recording, number: int, begin: float, start: datetime) -> list[dict[str, object]]:
     flight, scene = recording.tracks[number], recording.scenes[recording.tracks[number].scene]
     folder = f"track/{number}"
-    packets: list[dict[str, Any]] = [{"id": folder, "name": flight.label}]
+    packets: list[dict[str, object]] = [{"id": folder, "name": flight.label}]
     for k in range(len(recording.satellites)):
         packet = _satellite(recording, flight, scene, start, k, OTHERS[(number - 1) % len(OTHERS)], begin)
         packets.append(packet | {"id": f"{folder}/satellite/{k}", "parent": folder, "name": f"{flight.label}: {packet['name']}"})
@@ -118,7 +118,7 @@ def _span(start: datetime, begin: float, end: float) -> str:
     return f"{_time(start, begin)}/{_time(start, end)}"
 
 
-def _document(recording: Recording, flight: Track, start: datetime) -> dict[str, Any]:
+def _document(recording: Recording, flight: Track, start: datetime) -> dict[str, object]:
     clock = {
         "interval": _span(start, 0.0, flight.duration),
         "currentTime": _time(start, 0.0),
@@ -223,7 +223,7 @@ def _product(a: Array, b: Array) -> Array:
     return np.concatenate([wa * vb + wb * va + np.cross(va, vb), wa * wb - (va * vb).sum(-1, keepdims=True)], -1)
 
 
-def _stations(scene: Scene) -> list[dict[str, Any]]:
+def _stations(scene: Scene) -> list[dict[str, object]]:
     return [
         {
             "id": f"station/{k}",
@@ -263,7 +263,7 @@ def _links(recording: Recording, flight: Track, start: datetime) -> list[dict[st
         pairs.setdefault((a, b), []).append((begin, end))
     packets = []
     for (a, b), spans in pairs.items():
-        show: list[dict[str, Any]] = [{"interval": _span(start, 0.0, flight.duration), "boolean": False}]
+        show: list[dict[str, object]] = [{"interval": _span(start, 0.0, flight.duration), "boolean": False}]
         show += [{"interval": _span(start, begin, end), "boolean": True} for begin, end in spans]
         line = {
             "positions": {"references": [f"satellite/{a}#position", f"satellite/{b}#position"]},

@@ -116,7 +116,7 @@ class Server(ThreadingHTTPServer):
         """Return all flights that are kept; called with the lock."""
         return (self.source if isinstance(self.source, Recording) else self.source.recording()).encode()
 
-    def process_request(self, request: Any, client_address: Any) -> None:
+    def process_request(self, request: Any, client_address: object) -> None:
         """Read and answer a request in its own thread."""
         if len(self.reading) >= CONNECTIONS:
             self._end(next(iter(self.reading)))
@@ -135,7 +135,7 @@ class Server(ThreadingHTTPServer):
         self.reading.pop(request, None)
         super().shutdown_request(request)
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: Any, client_address: object) -> None:
         """Print nothing about clients that vanish."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
@@ -207,7 +207,7 @@ class _Handler(BaseHTTPRequestHandler):
         body = self._body()
         return [whole(name, body.get(name), 0) for name in names]
 
-    def _body(self) -> dict[str, Any]:
+    def _body(self) -> dict[str, object]:
         if self.headers.get_content_type() != "application/json":
             raise _RejectedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "the request must be application/json")
         length = self.headers.get("Content-Length", "")

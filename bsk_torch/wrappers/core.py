@@ -67,7 +67,7 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, object], ki
     return env
 
 
-def check_options(options: dict[str, object] | None, allowed: Collection[str]) -> dict[str, Any]:
+def check_options(options: dict[str, object] | None, allowed: Collection[str]) -> dict[str, object]:
     """Return the options of a reset; ValueError for an unknown one."""
     options = options or {}
     unknown = sorted(set(options) - set(allowed))

@@ -70,7 +70,7 @@ class GymJointEnv(GymEpisode):
         self._check_running()
         return self._ended(self.core.play([self._decoded(action)], self._every))
 
-    def _decoded(self, action: Sequence[object]) -> Any:
+    def _decoded(self, action: Sequence[object]) -> object:
         """Return the actions [1, S], or by the names of the satellites where some are real numbers."""
         if len(action) != len(self._parts):
             raise ValueError(f"action has {len(action)} entries; it must have {len(self._parts)}, one per satellite")

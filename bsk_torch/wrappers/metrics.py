@@ -90,7 +90,7 @@ class EpisodeDataLogger:
         return metrics
 
 
-class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any]):
+class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[object, object, object, object]):
     """Metrics of the episodes of a Gymnasium view; see :class:`EpisodeDataLogger`.
 
     Example:

@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment, the name of a preset, or a function that returns an environment."""
 
-Steps = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
+Steps = tuple[dict[str, object], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, object]]]
 """Observations, rewards, terminations, truncations and infos by agent."""
 
 COMMON = "__common__"
@@ -48,7 +48,7 @@ class Seat(NamedTuple):
     parts: tuple[SatelliteGroup, ...]
 
 
-class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
+class PettingZooEnv(EpisodeView, ParallelEnv[str, object, object]):
     """One episode at a time, as ``pettingzoo.ParallelEnv``, with an agent for each satellite.
 
     An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
@@ -116,7 +116,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         specs = self.core.observation_spec
         observed = {group.name: specs[group.name, "observation"] for group in self.core.groups}
         self.observation_spaces = {a: observation_space(observed[self._seats[a].group.name], 2) for a in self.possible_agents}
-        self.action_spaces: dict[str, spaces.Space[Any]] = {}
+        self.action_spaces: dict[str, spaces.Space[object]] = {}
         for agent in self.possible_agents:
             group, _, _, parts = self._seats[agent]
             if group.is_meta:
@@ -129,11 +129,11 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     def _size(self, part: SatelliteGroup) -> int:
         return part.actions.n_actions + self._continues
 
-    def observation_space(self, agent: str) -> spaces.Space[Any]:
+    def observation_space(self, agent: str) -> spaces.Space[object]:
         """Space of an agent's observations, the same object in every call."""
         return self.observation_spaces[self._checked_agent(agent, "agent")]
 
-    def action_space(self, agent: str) -> spaces.Space[Any]:
+    def action_space(self, agent: str) -> spaces.Space[object]:
         """Space of an agent's actions, the same object in every call."""
         return self.action_spaces[self._checked_agent(agent, "agent")]
 
@@ -248,7 +248,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     def _observation(self, results: TensorDictBase, agent: str) -> object:
         return map_leaves(self._of(results, agent, "observation"), as_numpy)
 
-    def _infos(self, results: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+    def _infos(self, results: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, object]]:
         self.latest_step_duration = float(results["duration"])
         step = {"d_ts": self.latest_step_duration}
         by_satellite, legal = satellite_infos(self.core, results), legal_tasks(self.core)

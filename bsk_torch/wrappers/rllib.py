@@ -51,7 +51,7 @@ def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
     return EpisodeDataWrapper(GymEnv(SatelliteTasking, **arguments), **callbacks)
 
 
-def constellation_tasking(env_config: Mapping[str, object]) -> Any:
+def constellation_tasking(env_config: Mapping[str, object]) -> object:
     """Return one episode of a ``ConstellationTasking`` with metrics, as RLlib wants it; ImportError without Ray."""
     try:
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv

@@ -13,7 +13,7 @@ from bsk_torch.env import NO_ACTION, ConstellationTasking
 from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.env.satellite_group import SatelliteGroup
 
-Columns = dict[str, Any]
+Columns = dict[str, object]
 """Results of a step or reset by name, [N, ...] each."""
 
 

@@ -56,7 +56,7 @@ def unbounded(shape: tuple[int, ...], dtype: torch.dtype) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, shape, torch.empty((), dtype=dtype).numpy().dtype.type)
 
 
-def action_space(satellite: SatelliteGroup, extra: int = 0) -> spaces.Space[Any]:
+def action_space(satellite: SatelliteGroup, extra: int = 0) -> spaces.Space[object]:
     """Return the space of a satellite's action, with ``extra`` choices at the end that continue its task.
 
     That is Discrete; a Box of float32 where actions are real numbers; or a Dict of the two as ``"values"`` and ``"choice"``.

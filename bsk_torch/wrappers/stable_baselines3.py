@@ -27,7 +27,7 @@ except ImportError as error:
     raise ImportError("SB3VecEnv is an environment of Stable-Baselines3: pip install 'bsk_torch[sb3]'") from error
 
 
-def flat_space(space: spaces.Space[object]) -> spaces.Space[Any]:
+def flat_space(space: spaces.Space[object]) -> spaces.Space[object]:
     """Return a Box unchanged, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
     if not isinstance(space, spaces.Dict):
         return space
@@ -93,7 +93,7 @@ class SB3VecEnv(VecEnv):
         self.vector = GymVectorEnv(core, num_envs, **fixed, **options)
         self.core = self.vector.core
         self._actions: np.ndarray | None = None
-        self._begin_with: dict[str, Any] = {}
+        self._begin_with: dict[str, object] = {}
         self._legal: np.ndarray | None = None
         builder = form(self.core.satellite)
         if builder is not None and builder.is_hybrid:
@@ -187,7 +187,7 @@ class SB3VecEnv(VecEnv):
         """Return a picture of the current state of each episode, [480, 640, 3] uint8; None without render mode."""
         return self.vector.render() or [None] * self.num_envs
 
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[object]:
         """Return an attribute of the vector environment or of :attr:`core` for each episode; AttributeError if none has it."""
         for owner in (self.vector, self.core):
             if hasattr(owner, attr_name):
@@ -200,7 +200,7 @@ class SB3VecEnv(VecEnv):
 
     def env_method(
         self, method_name: str, *method_args: object, indices: VecEnvIndices = None, **method_kwargs: object
-    ) -> list[Any]:
+    ) -> list[object]:
         """Return results of ``action_masks()`` or ``render()`` for each episode; AttributeError for other methods."""
         methods: dict[str, Callable[..., Any]] = {"action_masks": self.action_masks, "render": self.get_images}
         if method_name not in methods:
@@ -210,7 +210,9 @@ class SB3VecEnv(VecEnv):
         results = methods[method_name](*method_args, **method_kwargs)
         return [results[row] for row in self._get_indices(indices)]
 
-    def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[Wrapper[object, object, object, object]], indices: VecEnvIndices = None
+    ) -> list[bool]:
         """False for each episode: single environments are not wrapped, ``VecEnvWrapper`` is for the batch."""
         return [False for _ in self._get_indices(indices)]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -57,7 +55,7 @@ def legal_tasks(core: ConstellationTasking) -> list[np.ndarray | None]:
     return [as_numpy(part.action_mask()).astype(np.int8) if mask_size(part) else None for part in core.satellites]
 
 
-def satellite_infos(core: ConstellationTasking, results: Results) -> list[dict[str, Any]]:
+def satellite_infos(core: ConstellationTasking, results: Results) -> list[dict[str, object]]:
     """Return the info of each satellite: whether it needs a task, and its counters."""
     counted = {name: count[0].tolist() for name, count in counts(results).items()}
     idle = core.requires_retasking[0].tolist()

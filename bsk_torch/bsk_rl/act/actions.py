@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from copy import deepcopy
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.utils.functional import Resetable, ResetableGroup
+from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["Action", "ActionBuilder", "select_action_builder"]
 
 
-def select_action_builder(satellite: Any) -> ActionBuilder:
+def select_action_builder(satellite: Satellite) -> ActionBuilder:
     """Return the builder of a satellite's actions.
 
     Raises:
@@ -38,7 +42,7 @@ class ActionBuilder(ABC, ResetableGroup):
         action_spec: The actions, copies of those of the satellite's class.
     """
 
-    def __init__(self, satellite: Any) -> None:
+    def __init__(self, satellite: Satellite) -> None:
         """Copy and link the actions of a satellite."""
         self.satellite = satellite
         self.simulator: Any = None
@@ -59,30 +63,23 @@ class ActionBuilder(ABC, ResetableGroup):
 
     @property
     @abstractmethod
-    def action_space(self) -> Any:
+    def action_space(self) -> object:
         """Space of the actions."""
 
     @property
     @abstractmethod
-    def action_description(self) -> Any:
+    def action_description(self) -> object:
         """Names of the actions."""
 
     @abstractmethod
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: object) -> None:
         """Begin an action."""
 
 
-class Action(ABC, Resetable):
-    """An action. Subclasses define :meth:`set_action`.
-
-    Attributes:
-        satellite: The satellite that acts.
-        simulator: The simulation of the episode.
-    """
+class Action(ABC, Part):
+    """An action. Subclasses define :meth:`set_action`."""
 
     builder_type: ClassVar[type[ActionBuilder]]
-    satellite: Any
-    simulator: Any
 
     def __init__(self, name: str = "act") -> None:
         """Name the action."""
@@ -92,14 +89,6 @@ class Action(ABC, Resetable):
     def may_hold_attitude(self) -> bool:
         """Whether the action may command an attitude set-point; those of users' classes may."""
         return not type(self).__module__.startswith(__name__.partition(".")[0] + ".")
-
-    def link_satellite(self, satellite: object) -> None:
-        """Store the satellite."""
-        self.satellite = satellite
-
-    def link_simulator(self, simulator: object) -> None:
-        """Store the simulation of the episode."""
-        self.simulator = simulator
 
     @abstractmethod
     def set_action(self, action: Any) -> Any:

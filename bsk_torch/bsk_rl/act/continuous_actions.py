@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -11,13 +11,17 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
 
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
+
 __all__ = ["AttitudeSetpoint", "ContinuousAction", "ContinuousActionBuilder", "ImpulsiveThrust", "ImpulsiveThrustHill"]
 
 
 class ContinuousActionBuilder(ActionBuilder):
     """Passes the values of an action to the only entry of the specification."""
 
-    def __init__(self, satellite: Any) -> None:
+    def __init__(self, satellite: Satellite) -> None:
         """See :class:`ActionBuilder`; AssertionError for several entries."""
         super().__init__(satellite)
         assert len(self.action_spec) == 1, "Only one continuous action is supported."
@@ -84,7 +88,7 @@ class ImpulsiveThrust(ContinuousAction):
     def action_description(self) -> list[str]:
         return ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
 
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: np.ndarray) -> None:
         """See :meth:`ContinuousAction.set_action`; lengths and durations are clamped."""
         assert len(action) == 4, "Action must have 4 elements."
         dv_N, requested = action[0:3], action[3]
@@ -116,7 +120,7 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
         self.chief = self.satellite.simulator.get_satellite(self.chief_name)
 
     @override
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: np.ndarray) -> None:
         dv_N = self.chief.dynamics.HN.T @ action[0:3]
         super().set_action(np.concatenate((dv_N, [action[3]])))
 
@@ -145,7 +149,7 @@ class AttitudeSetpoint(ContinuousAction):
         return ["mrp_1", "mrp_2", "mrp_3"]
 
     @override
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: np.ndarray) -> None:
         assert len(action) == 3, "Action must have 3 elements."
         self.satellite.logger.info("Setting attitude command to %s for %s seconds.", action, self.control_period)
         self.satellite.fsw.action_attitude_mrp(action)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -12,6 +12,10 @@ from typing_extensions import override
 
 from bsk_torch.act.base import LONGEST
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = [
     "Broadcast",
@@ -38,9 +42,9 @@ class DiscreteActionBuilder(ActionBuilder):
     """
 
     @override
-    def __init__(self, satellite: Any) -> None:
+    def __init__(self, satellite: Satellite) -> None:
         super().__init__(satellite)
-        self.prev_action_key: Any = None
+        self.prev_action_key: object = None
 
     def reset_post_sim_init(self) -> None:
         """See :meth:`ActionBuilder.reset_post_sim_init`; there is no last action."""
@@ -100,7 +104,7 @@ class DiscreteAction(Action):
         self.n_actions = n_actions
 
     @abstractmethod
-    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+    def set_action(self, action: int, prev_action_key: object = None) -> object:
         """Start the action with an index in this entry; return a key that identifies it."""
 
 
@@ -121,7 +125,7 @@ class DiscreteFSWAction(DiscreteAction):
         self.duration = LONGEST if duration is None else duration
 
     @override
-    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+    def set_action(self, action: int, prev_action_key: object = None) -> object:
         assert action == 0
         self.satellite.logger.info("%s tasked for %s seconds", self.name, self.duration)
         self.satellite.update_timed_terminal_event(self.simulator.sim_time + self.duration, info=f"for {self.fsw_action}")
@@ -193,11 +197,11 @@ class Image(DiscreteAction):
         return target.id
 
     @override
-    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+    def set_action(self, action: int, prev_action_key: object = None) -> object:
         self.satellite.logger.info("target index %s tasked", action)
         return self.image(action, prev_action_key)
 
-    def set_action_override(self, action: object, prev_action_key: object = None) -> Any:
+    def set_action_override(self, action: object, prev_action_key: object = None) -> object:
         """Image a target, given as itself or its id."""
         return self.image(action, prev_action_key)
 
@@ -218,7 +222,7 @@ class Broadcast(DiscreteAction):
         self.broadcast_pending = False
 
     @override
-    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+    def set_action(self, action: int, prev_action_key: object = None) -> object:
         assert action == 0
         self.broadcast_pending = True
         self.satellite.update_timed_terminal_event(self.simulator.sim_time + self.duration, info="for broadcast")

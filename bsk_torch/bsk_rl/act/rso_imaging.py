@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 from bsk_torch._checks import number, whole
 from bsk_torch.bsk_rl.act.discrete_actions import DiscreteAction
@@ -96,7 +95,7 @@ class ImageRSO(DiscreteAction):
             simulator.add_image_event(self.event_name, satellite, taken, bool(satellite.variable_interval))
         return target_id
 
-    def set_action(self, action: int, prev_action_key: Any = None) -> str:
+    def set_action(self, action: int, prev_action_key: object = None) -> str:
         """See :meth:`DiscreteAction.set_action`; the candidates are those of the last observation.
 
         Raises:

@@ -7,13 +7,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
 from bsk_torch.sim.dyn import LOSCommDynModel
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = [
     "BroadcastCommunication",
@@ -49,7 +53,7 @@ class CommunicationMethod(ABC, Resetable):
         """Forget the last episode."""
         self.last_communication_time = 0.0
 
-    def link_satellites(self, satellites: list[Any]) -> None:
+    def link_satellites(self, satellites: list[Satellite]) -> None:
         """Store the satellites of the environment."""
         self.satellites = satellites
 
@@ -119,7 +123,7 @@ class LOSCommunication(CommunicationMethod):
 
     _cleared: float
 
-    def link_satellites(self, satellites: list[Any]) -> None:
+    def link_satellites(self, satellites: list[Satellite]) -> None:
         """Keep the satellites; TypeError for those without lines of sight."""
         super().link_satellites(satellites)
         for satellite in satellites:
@@ -135,7 +139,7 @@ class LOSCommunication(CommunicationMethod):
         self._cleared = 0.0
 
     @property
-    def los_logs(self) -> dict[Any, dict[Any, SightLog]]:
+    def los_logs(self) -> dict[object, dict[object, SightLog]]:
         """Logs of the current step by sensor and other satellite; empty after :meth:`communicate`, as in bsk_rl."""
         simulator = self.satellites[0].simulator
         sights = simulator.recorded_sights()[: 0 if simulator.sim_time == self._cleared else None]

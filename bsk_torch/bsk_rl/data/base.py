@@ -25,7 +25,7 @@ class Data(ABC):
     def __add__(self, other: Any) -> Any:
         """Return both units together."""
 
-    def __copy__(self) -> Any:
+    def __copy__(self) -> object:
         return type(self)() + self
 
 
@@ -46,9 +46,9 @@ class DataStore(ABC):
     def __init__(self, satellite: Any, initial_data: Any = None) -> None:
         """Store the data of a satellite, which begins with ``initial_data``; None for none."""
         self.satellite = satellite
-        self.staged_data: list[Any] = []
+        self.staged_data: list[object] = []
         self.data: Any = initial_data if initial_data else self.data_type()
-        self.new_data: Any = self.data_type()
+        self.new_data: object = self.data_type()
 
     def get_log_state(self) -> LogStateType:
         """Return the state from which new data is found, by comparison with the state of the previous step."""
@@ -58,7 +58,7 @@ class DataStore(ABC):
     def compare_log_states(self, old_state: LogStateType, new_state: LogStateType) -> Any:
         """Return the data of a step from what :meth:`get_log_state` returned before and after it."""
 
-    def update_from_logs(self) -> Any:
+    def update_from_logs(self) -> object:
         """Add the data of a step, and return it; the first call, at reset, only reads the state."""
         if not hasattr(self, "log_state"):
             self.log_state = self.get_log_state()
@@ -69,7 +69,7 @@ class DataStore(ABC):
         self.data += self.new_data
         return self.new_data
 
-    def stage_communicated_data(self, external_data: Any) -> None:
+    def stage_communicated_data(self, external_data: object) -> None:
         """Stage data received from another satellite; it is not passed on in the same step."""
         self.staged_data.append(external_data)
 
@@ -134,7 +134,7 @@ class GlobalReward(ABC, Resetable):
     def calculate_reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
         """Return the reward of a step by name of satellite, from the data that each has collected in it."""
 
-    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+    def reward(self, new_data_dict: dict[str, object]) -> dict[str, float]:
         """Return the reward of a step, and add it and its data to those of the episode."""
         reward = self.calculate_reward(new_data_dict)
         for name, value in reward.items():
@@ -144,10 +144,10 @@ class GlobalReward(ABC, Resetable):
         logger.info("Total reward: %s", {name: value for name, value in reward.items() if value != 0})
         return reward
 
-    def is_truncated(self, satellite: Any) -> bool:
+    def is_truncated(self, satellite: object) -> bool:
         """Return whether the episode is truncated for a satellite."""
         return False
 
-    def is_terminated(self, satellite: Any) -> bool:
+    def is_terminated(self, satellite: object) -> bool:
         """Return whether the episode terminates for a satellite."""
         return False

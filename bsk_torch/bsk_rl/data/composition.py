@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
@@ -19,12 +19,16 @@ from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.data.mixed import check_channels, check_no_ids, scenario_id
 from bsk_torch.scene.mixed import as_dictionary, check_known, names_by_key
 
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
+
 __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "MixedDataStore", "MixedReward"]
 
 logger = logging.getLogger(__name__)
 
 
-def _attribute_of_first(parts: Iterable[Any], name: str, kind: str) -> object:
+def _attribute_of_first(parts: Iterable[object], name: str, kind: str) -> object:
     for part in parts:
         if hasattr(part, name):
             return getattr(part, name)
@@ -62,7 +66,7 @@ class PassingStore(DataStore):
         """Pass each store its data."""
 
     @override
-    def update_from_logs(self) -> Any:
+    def update_from_logs(self) -> object:
         new_data = super().update_from_logs()
         self.pass_data()
         return new_data
@@ -80,10 +84,10 @@ class ComposedDataStore(PassingStore):
 
     def __init__(
         self,
-        satellite: Any,
+        satellite: Satellite,
         *data_store_types: type[DataStore],
         initial_data: ComposedData | None = None,
-        data_store_kwargs: list[dict[str, Any]] | None = None,
+        data_store_kwargs: list[dict[str, object]] | None = None,
     ) -> None:
         """Create stores of ``data_store_types``, each with further arguments; ValueError for another number of these."""
         super().__init__(satellite, initial_data)
@@ -101,7 +105,7 @@ class ComposedDataStore(PassingStore):
         for store, unit in zip(self.data_stores, self.data.data, strict=False):
             store.data = unit
 
-    def get_log_state(self) -> list[Any]:
+    def get_log_state(self) -> list[object]:
         """See :meth:`DataStore.get_log_state`; those of all stores."""
         return [store.get_log_state() for store in self.data_stores]
 
@@ -117,22 +121,22 @@ class RewarderGroup(ResetableGroup, GlobalReward):
     def pass_data(self) -> None:
         """Pass each rewarder its data."""
 
-    def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
+    def rewarders_of(self, satellite: object) -> Collection[GlobalReward]:
         """Return the rewarders that reward a satellite."""
         raise NotImplementedError(f"{type(self).__name__} must implement rewarders_of(satellite)")
 
     @override
-    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+    def reward(self, new_data_dict: dict[str, object]) -> dict[str, float]:
         reward = super().reward(new_data_dict)
         self.pass_data()
         return reward
 
     @override
-    def is_truncated(self, satellite: Any) -> bool:
+    def is_truncated(self, satellite: object) -> bool:
         return any(rewarder.is_truncated(satellite) for rewarder in self.rewarders_of(satellite))
 
     @override
-    def is_terminated(self, satellite: Any) -> bool:
+    def is_terminated(self, satellite: object) -> bool:
         return any(rewarder.is_terminated(satellite) for rewarder in self.rewarders_of(satellite))
 
 
@@ -162,7 +166,7 @@ class ComposedReward(RewarderGroup):
         return self.rewarders
 
     @override
-    def rewarders_of(self, satellite: Any) -> tuple[GlobalReward, ...]:
+    def rewarders_of(self, satellite: object) -> tuple[GlobalReward, ...]:
         return self.rewarders
 
     @override
@@ -176,10 +180,10 @@ class ComposedReward(RewarderGroup):
             rewarder.link_scenario(scenario)
 
     @override
-    def initial_data(self, satellite: Any) -> ComposedData:
+    def initial_data(self, satellite: object) -> ComposedData:
         return ComposedData(*(rewarder.initial_data(satellite) for rewarder in self.rewarders))
 
-    def create_data_store(self, satellite: Any) -> None:
+    def create_data_store(self, satellite: Satellite) -> None:
         """Give a satellite one store of each kind."""
         satellite.data_store = ComposedDataStore(
             satellite,
@@ -208,7 +212,7 @@ class ComposedReward(RewarderGroup):
         return reward
 
 
-def _attribute_of_one(parts: Mapping[str, Any], name: str, kind: str) -> object:
+def _attribute_of_one(parts: Mapping[str, object], name: str, kind: str) -> object:
     having = [key for key, part in parts.items() if hasattr(part, name)]
     if len(having) == 1:
         return getattr(parts[having[0]], name)
@@ -254,7 +258,7 @@ class MixedDataStore(PassingStore):
 
     data_type = MixedData
 
-    def __init__(self, satellite: Any, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
+    def __init__(self, satellite: Satellite, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
         """Combine the store of each channel; the data at the start is that of the stores unless ``initial_data`` is given."""
         self.data_stores = dict(data_stores)
         data = MixedData({key: store.data for key, store in self.data_stores.items()})
@@ -269,7 +273,7 @@ class MixedDataStore(PassingStore):
         for key, store in self.data_stores.items():
             store.data = self.data.data[key]
 
-    def get_log_state(self) -> dict[str, Any]:
+    def get_log_state(self) -> dict[str, object]:
         """See :meth:`DataStore.get_log_state`; those of all stores."""
         return {key: store.get_log_state() for key, store in self.data_stores.items()}
 
@@ -279,7 +283,7 @@ class MixedDataStore(PassingStore):
             {key: store.compare_log_states(prev_state[key], new_state[key]) for key, store in self.data_stores.items()}
         )
 
-    def update_from_logs(self) -> Any:
+    def update_from_logs(self) -> object:
         """See :meth:`DataStore.update_from_logs`; stores begin with the data that the satellite has now."""
         self.pass_data()
         return super().update_from_logs()
@@ -347,7 +351,7 @@ class MixedReward(RewarderGroup):
         return self.rewarders.values()
 
     @override
-    def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
+    def rewarders_of(self, satellite: object) -> Collection[GlobalReward]:
         return self.channels_of(satellite).values()
 
     @override
@@ -359,11 +363,11 @@ class MixedReward(RewarderGroup):
         """Return the rewarders of the channels in which a satellite collects data."""
         return {key: rewarder for key, rewarder in self.rewarders.items() if satellite.name in self.satellite_mapping[key]}
 
-    def initial_data(self, satellite: Any) -> MixedData:
+    def initial_data(self, satellite: Satellite) -> MixedData:
         """See :meth:`GlobalReward.initial_data`; that of the satellite's channels."""
         return MixedData({key: rewarder.initial_data(satellite) for key, rewarder in self.channels_of(satellite).items()})
 
-    def create_data_store(self, satellite: Any) -> None:
+    def create_data_store(self, satellite: Satellite) -> None:
         """Give a satellite the stores of its channels, as their rewarders make them."""
         stores = {}
         for key, rewarder in self.channels_of(satellite).items():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
@@ -23,7 +21,7 @@ class NoDataStore(DataStore):
 
     data_type = NoData
 
-    def compare_log_states(self, old_state: Any, new_state: Any) -> NoData:
+    def compare_log_states(self, old_state: object, new_state: object) -> NoData:
         """Return nothing."""
         return self.data_type()
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["ResourceData", "ResourceDataStore", "ResourceReward"]
 
@@ -36,9 +40,11 @@ class ResourceDataStore(DataStore):
 
     data_type = ResourceData
 
-    def __init__(self, *args: Any, resource_fn: Callable[[Any], float] = nothing, **kwargs: Any) -> None:
+    def __init__(
+        self, satellite: Satellite, initial_data: object = None, *, resource_fn: Callable[[Satellite], float] = nothing
+    ) -> None:
         """See :class:`DataStore`; ``resource_fn`` is a function of the satellite that returns the quantity."""
-        super().__init__(*args, **kwargs)
+        super().__init__(satellite, initial_data)
         self.resource_fn = resource_fn
 
     def get_log_state(self) -> float:
@@ -55,7 +61,9 @@ class ResourceReward(GlobalReward):
 
     data_store_type = ResourceDataStore
 
-    def __init__(self, reward_weight: float | Callable[[], float] = 1.0, resource_fn: Callable[[Any], float] = nothing) -> None:
+    def __init__(
+        self, reward_weight: float | Callable[[], float] = 1.0, resource_fn: Callable[[Satellite], float] = nothing
+    ) -> None:
         """Initialize the rewarder.
 
         Args:

@@ -112,7 +112,7 @@ class RSOImageStore(DataStore):
         return delivered
 
 
-def nothing(record: RSOImageRecord, target: Any) -> float:
+def nothing(record: RSOImageRecord, target: object) -> float:
     """Return zero, the default value of taking an image."""
     return 0.0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
@@ -13,6 +13,10 @@ from bsk_torch.bsk_rl.scene.rso_points import RSOPoint
 from bsk_torch.bsk_rl.sim.inspection import Found
 from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.tasks.inspection import RSOInspectorDynModel
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["RSOInspectionData", "RSOInspectionDataStore", "RSOInspectionReward"]
 
@@ -71,8 +75,8 @@ class RSOInspectionDataStore(DataStore):
     data_type = RSOInspectionData
 
     @override
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    def __init__(self, satellite: Satellite, initial_data: object = None) -> None:
+        super().__init__(satellite, initial_data)
         self.role = INSPECTOR if issubclass(self.satellite.dyn_type, RSOInspectorDynModel) else RSO
         self.scenario: Any = None
 
@@ -149,7 +153,7 @@ class RSOInspectionReward(GlobalReward):
                 if isinstance(store, RSOInspectionDataStore):
                     store.scenario = self.scenario
 
-    def initial_data(self, satellite: Any) -> RSOInspectionData:
+    def initial_data(self, satellite: Satellite) -> RSOInspectionData:
         """Return all points as neither inspected nor lit, for inspectors."""
         if not issubclass(satellite.dyn_type, RSOInspectorDynModel):
             return RSOInspectionData()
@@ -160,7 +164,7 @@ class RSOInspectionReward(GlobalReward):
         """Choose the colors of points in Vizard."""
 
     @vizard.visualize
-    def update_point_colors(self, rso_points: list[RSOPoint], colors: Any, alpha: float = 0.5) -> None:
+    def update_point_colors(self, rso_points: list[RSOPoint], colors: object, alpha: float = 0.5) -> None:
         """Color points in Vizard."""
 
     @override
@@ -186,6 +190,6 @@ class RSOInspectionReward(GlobalReward):
         enough = lit >= points * self.min_illuminated_for_completion or self._sim_time > self.min_time_for_completion
         return enough and total.num_points_inspected >= self.completion_threshold * lit
 
-    def is_terminated(self, satellite: Any) -> bool:
+    def is_terminated(self, satellite: object) -> bool:
         """See :meth:`GlobalReward.is_terminated`; all satellites, when the inspection is complete."""
         return self.bonus_reward_yielded and self.terminate_on_completion

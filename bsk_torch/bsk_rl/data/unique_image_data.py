@@ -62,7 +62,7 @@ class UniqueImageStore(DataStore):
         return UniqueImageData(imaged={target})
 
     @vizard.visualize
-    def update_target_colors(self, targets: list[Target], vizInstance: Any = None, vizSupport: Any = None) -> None:
+    def update_target_colors(self, targets: list[Target], vizInstance: object = None, vizSupport: object = None) -> None:
         """Color targets in Vizard."""
 
 
@@ -96,7 +96,7 @@ class UniqueImageReward(GlobalReward):
         super().__init__()
         self.reward_fn = reward_fn
 
-    def initial_data(self, satellite: Any) -> UniqueImageData:
+    def initial_data(self, satellite: object) -> UniqueImageData:
         """Return all targets as known."""
         return self.data_type(known=self.scenario.targets)
 

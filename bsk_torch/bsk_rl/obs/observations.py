@@ -8,14 +8,20 @@ from collections import Counter
 from collections.abc import Callable
 from copy import deepcopy
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.utils.functional import Resetable, ResetableGroup, vectorize_nested_dict
+from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup, vectorize_nested_dict
 from bsk_torch.bsk_rl.utils.orbital import rv2HN
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
+
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = [
     "Eclipse",
@@ -75,11 +81,11 @@ class ObservationBuilder(ResetableGroup):
         observation_spec: The observations, copies of those of the satellite's class.
     """
 
-    def __init__(self, satellite: Any, obs_type: type = np.ndarray, dtype: Any = np.float64) -> None:
+    def __init__(self, satellite: Satellite, obs_type: type = np.ndarray, dtype: DTypeLike = np.float64) -> None:
         """Copy and link the observations of a satellite; those of the same name get numbers."""
         self.obs_type, self.dtype, self.satellite = obs_type, dtype, satellite
         self.simulator: Any = None
-        self.obs_dict_cache: dict[str, Any] | None = None
+        self.obs_dict_cache: dict[str, object] | None = None
         self.obs_cache_time = 0.0
         self.observation_spec: list[Observation] = deepcopy(list(satellite.observation_spec))
         counts = Counter[str]()
@@ -100,7 +106,7 @@ class ObservationBuilder(ResetableGroup):
             entry.link_simulator(self.simulator)
         super().reset_post_sim_init()
 
-    def obs_dict(self) -> dict[str, Any]:
+    def obs_dict(self) -> dict[str, object]:
         """Return the observations by name; they are computed once at each time."""
         if self.obs_dict_cache is None or self.simulator.sim_time != self.obs_cache_time:
             self.obs_dict_cache = {}
@@ -118,11 +124,11 @@ class ObservationBuilder(ResetableGroup):
         """Return the names of the entries of :meth:`obs_ndarray`."""
         return vectorize_nested_dict(self.obs_dict())[0]
 
-    def obs_list(self) -> list[Any]:
+    def obs_list(self) -> list[object]:
         """Return the observations as a list of numbers."""
         return list(self.obs_ndarray())
 
-    def get_obs(self) -> Any:
+    def get_obs(self) -> object:
         """Return the observations in the form of ``obs_type``; ValueError for an unknown one."""
         forms: dict[Any, Callable[[], Any]] = {dict: self.obs_dict, np.ndarray: self.obs_ndarray, list: self.obs_list}
         if self.obs_type not in forms:
@@ -130,7 +136,7 @@ class ObservationBuilder(ResetableGroup):
         return forms[self.obs_type]()
 
     @cached_property
-    def observation_space(self) -> spaces.Space[Any]:
+    def observation_space(self) -> spaces.Space[object]:
         """Space of the observations."""
         return nested_obs_to_space(self.get_obs(), dtype=self.dtype)
 
@@ -140,31 +146,15 @@ class ObservationBuilder(ResetableGroup):
         return self.obs_array_keys()
 
 
-class Observation(ABC, Resetable):
-    """Part of an observation. Subclasses define :meth:`get_obs`.
-
-    Attributes:
-        satellite: The satellite that observes.
-        simulator: The simulation of the episode.
-    """
-
-    satellite: Any
-    simulator: Any
+class Observation(ABC, Part):
+    """Part of an observation. Subclasses define :meth:`get_obs`."""
 
     def __init__(self, name: str = "obs") -> None:
         """Name the observation."""
         self.name = name
 
-    def link_satellite(self, satellite: object) -> None:
-        """Store the satellite."""
-        self.satellite = satellite
-
-    def link_simulator(self, simulator: object) -> None:
-        """Store the simulation of the episode."""
-        self.simulator = simulator
-
     @abstractmethod
-    def get_obs(self) -> Any:
+    def get_obs(self) -> object:
         """Return the current observation."""
 
 
@@ -204,7 +194,7 @@ class SatProperties(Observation):
                     raise AttributeError(f"Property {entry['prop']} not found")
 
     @override
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> dict[str, object]:
         observation = {}
         for entry in self.obs_properties:
             if "fn" in entry:
@@ -290,7 +280,7 @@ class OpportunityProperties(Observation):
             name_entry(entry, entry.get("prop", f"prop_{k}"))
 
     @override
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> dict[str, object]:
         opportunities = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
         return {
             f"{self.name}_{k}": {
@@ -319,7 +309,7 @@ class ResourceRewardWeight(Observation):
 
     weight_vector: list[float]
 
-    def __init__(self, name: str = "resource_reward_weight", norm: Any = 1.0) -> None:
+    def __init__(self, name: str = "resource_reward_weight", norm: object = 1.0) -> None:
         """Initialize the observation; weights are divided by ``norm``, a number or a vector."""
         super().__init__(name=name)
         self.norm = norm
@@ -329,5 +319,5 @@ class ResourceRewardWeight(Observation):
         self.weight_vector = []
 
     @override
-    def get_obs(self) -> Any:
+    def get_obs(self) -> object:
         return np.array(self.weight_vector) / self.norm

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,6 +13,10 @@ from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.bsk_rl.obs.observations import Entry, Observation, checked_entries, name_entry
 from bsk_torch.bsk_rl.utils.orbital import rv2omega
 from bsk_torch.vec3 import Mat3
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = [
     "RelativeProperties",
@@ -39,99 +43,104 @@ AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0,
 """Centers of the six regions of a surface that are told apart by default."""
 
 
-def _mrp(matrix: object) -> object:
+def _mrp(matrix: object) -> np.ndarray:
     """Return the MRP [3] of a direction cosine matrix [3, 3]."""
     return dcm_to_mrp(Mat3.of(torch.as_tensor(np.asarray(matrix, dtype=float)))).stack().numpy()
 
 
-def _rate_N(satellite: Any) -> Any:
+def _rate_N(satellite: Satellite) -> np.ndarray:
     """Return the rate of the Hill frame, rad/s in N."""
     return rv2omega(satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N)
 
 
-def r_DC_N(deputy: Any, chief: Any) -> Any:
+def r_DC_N(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the deputy's position relative to the chief, m in N."""
     return np.array(deputy.dynamics.r_BN_N) - np.array(chief.dynamics.r_BN_N)
 
 
-def v_DC_N(deputy: Any, chief: Any) -> Any:
+def v_DC_N(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the deputy's velocity relative to the chief, m/s in N."""
     return np.array(deputy.dynamics.v_BN_N) - np.array(chief.dynamics.v_BN_N)
 
 
-def r_DC_Hc(deputy: Any, chief: Any) -> Any:
+def r_DC_Hc(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative position in the chief's Hill frame, m."""
     return chief.dynamics.HN @ r_DC_N(deputy, chief)
 
 
-def v_DC_Hc(deputy: Any, chief: Any) -> Any:
+def v_DC_Hc(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative velocity as seen from the chief's Hill frame, m/s in that frame."""
     return chief.dynamics.HN @ (v_DC_N(deputy, chief) - np.cross(_rate_N(chief), r_DC_N(deputy, chief)))
 
 
-def r_DC_Hd(deputy: Any, chief: Any) -> Any:
+def r_DC_Hd(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative position in the deputy's Hill frame, m."""
     return deputy.dynamics.HN @ r_DC_N(deputy, chief)
 
 
-def v_DC_Hd(deputy: Any, chief: Any) -> Any:
+def v_DC_Hd(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative velocity as seen from the deputy's Hill frame, m/s in that frame."""
     return deputy.dynamics.HN @ (v_DC_N(deputy, chief) - np.cross(_rate_N(deputy), r_DC_N(deputy, chief)))
 
 
-def r_DC_C(deputy: Any, chief: Any) -> Any:
+def r_DC_C(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative position in the chief's body frame, m."""
     return chief.dynamics.BN @ r_DC_N(deputy, chief)
 
 
-def r_DC_D(deputy: Any, chief: Any) -> Any:
+def r_DC_D(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative position in the deputy's body frame, m."""
     return deputy.dynamics.BN @ r_DC_N(deputy, chief)
 
 
-def v_DC_C(deputy: Any, chief: Any) -> Any:
+def v_DC_C(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative velocity as seen from the chief's body frame, m/s in that frame."""
     velocity_N = v_DC_N(deputy, chief) - np.cross(chief.dynamics.BN.T @ chief.dynamics.omega_BN_B, r_DC_N(deputy, chief))
     return chief.dynamics.BN @ velocity_N
 
 
-def v_DC_D(deputy: Any, chief: Any) -> Any:
+def v_DC_D(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the relative velocity as seen from the deputy's body frame, m/s in that frame."""
     velocity_N = v_DC_N(deputy, chief) - np.cross(deputy.dynamics.BN.T @ deputy.dynamics.omega_BN_B, r_DC_N(deputy, chief))
     return deputy.dynamics.BN @ velocity_N
 
 
-def sigma_DC(deputy: Any, chief: Any) -> Any:
+def sigma_DC(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the attitude of the deputy's body relative to the chief's, an MRP."""
     return _mrp(deputy.dynamics.BN @ chief.dynamics.BN.T)
 
 
-def sigma_DHc(deputy: Any, chief: Any) -> Any:
+def sigma_DHc(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the attitude of the deputy's body relative to the chief's Hill frame, an MRP."""
     return _mrp(deputy.dynamics.BN @ chief.dynamics.HN.T)
 
 
-def sigma_HdC(deputy: Any, chief: Any) -> Any:
+def sigma_HdC(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the attitude of the deputy's Hill frame relative to the chief's body, an MRP."""
     return _mrp(deputy.dynamics.HN @ chief.dynamics.BN.T)
 
 
-def sigma_HdHc(deputy: Any, chief: Any) -> Any:
+def sigma_HdHc(deputy: Satellite, chief: Satellite) -> np.ndarray:
     """Return the attitude of the deputy's Hill frame relative to the chief's, an MRP."""
     return _mrp(deputy.dynamics.HN @ chief.dynamics.HN.T)
 
 
-def rso_sigma_BH(_: Any, rso: Any) -> Any:
+def rso_sigma_BH(_: object, rso: Satellite) -> np.ndarray:
     """Return the attitude of the chief's body relative to its Hill frame, an MRP."""
     return _mrp(rso.dynamics.BN @ rso.dynamics.HN.T)
 
 
-def rso_omega_BH(_: Any, rso: Any) -> Any:
+def rso_omega_BH(_: object, rso: Satellite) -> np.ndarray:
     """Return the rate of the chief's body relative to its Hill frame, rad/s in that frame."""
     return rso.dynamics.omega_BH_H
 
 
-def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, frame: str = "chief_hill") -> Any:
+def rso_imaged_regions(
+    servicer: Satellite,
+    chief: Satellite,
+    region_centers: Sequence[Sequence[float]] | np.ndarray = AXES,
+    frame: str = "chief_hill",
+) -> np.ndarray:
     """Return the fraction of the points in each region that has been inspected, [n].
 
     Args:
@@ -155,7 +164,7 @@ def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, fr
     return imaged / np.maximum(total, 1)
 
 
-PRESETS: dict[str, Callable[[Any, Any], Any]] = {
+PRESETS: dict[str, Callable[[Satellite, Satellite], np.ndarray]] = {
     name: value for name, value in list(globals().items()) if name in __all__ and name != "RelativeProperties"
 }
 """Functions of deputy and chief by name."""
@@ -195,7 +204,7 @@ class RelativeProperties(Observation):
         self.chief = named[0]
 
     @override
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> dict[str, object]:
         observation = {}
         for entry in self.rel_properties:
             value = entry["fn"](self.satellite, self.chief)

@@ -16,7 +16,7 @@ from bsk_torch.tasks.objects.obs import DEFAULT
 
 __all__ = ["RSOTargetProperties", "target_properties"]
 
-NOTHING: dict[str, Any] = {
+NOTHING: dict[str, object] = {
     "valid": 0.0,
     "priority": 0.0,
     "target_elevation_angle": 0.0,
@@ -57,7 +57,7 @@ def target_properties(imager: Any, target: Any) -> dict[str, Any]:
 class RSOTargetProperties(Observation):
     """Properties of the first candidates of an imager, in the order of :class:`~bsk_torch.bsk_rl.act.ImageRSO`."""
 
-    def __init__(self, *properties: Mapping[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets") -> None:
+    def __init__(self, *properties: Mapping[str, object], n_ahead_observe: int = 10, name: str = "rso_targets") -> None:
         """Observe ``n_ahead_observe`` candidates; ValueError for a wrong argument.
 
         Args:

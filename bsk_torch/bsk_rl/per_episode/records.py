@@ -166,7 +166,7 @@ class RecordTable(StateTable):
         return TensorDict(self._gathered(torch.arange(self.num_envs)), [self.num_envs], device=self.device)
 
     @override
-    def over(self, saved: Mapping[str, Any] | TensorDictBase) -> RecordTable:
+    def over(self, saved: Mapping[str, object] | TensorDictBase) -> RecordTable:
         other = super().over(saved)
         other.entries = [None] * other.num_envs
         return other

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -108,7 +108,7 @@ class PerEpisodeReward(GlobalReward):
 
     # -- reading ------------------------------------------------------------------------------------------------------
 
-    def store_of(self, part: int) -> list[Any]:
+    def store_of(self, part: int) -> list[object]:
         """Return the stores of the satellites of type number ``part``, a list of N * count; it is their ``data_store``."""
         columns = self.fleet.columns[part].tolist()
         return [record.satellites[column].data_store for record in self._all() for column in columns]

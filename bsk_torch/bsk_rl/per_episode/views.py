@@ -231,7 +231,7 @@ class OneSatellite(OneView):
         return OneOthers(self._whole.fleet, self._env)
 
     @property
-    def data_store(self) -> Any:
+    def data_store(self) -> object:
         """Store of the satellite in the rewarder: ``data_store.data``; AttributeError for rewarders without stores."""
         store = self._whole.data_store
         if isinstance(store, list):
@@ -326,7 +326,7 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
 
     def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
         if is_target(kind):
-            thing: Any = OneTarget(self._whole, self._env, place)
+            thing: object = OneTarget(self._whole, self._env, place)
         else:
             thing = names_of(self._whole, kind)[place]
         made = OneOpportunity(object=thing, type=kind, r_LP_P=r_LP_P, **window)

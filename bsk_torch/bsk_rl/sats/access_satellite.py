@@ -9,7 +9,7 @@ from __future__ import annotations
 import bisect
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,16 +47,16 @@ class OpportunityQueries(ABC):
     def _accepts(self, types: Types, filter: Any) -> Filter:
         """Return the function that determines whether an opportunity counts in a query."""
 
-    def opportunities_dict(self, types: Types = None, filter: object = None) -> dict[Any, list[Window]]:
+    def opportunities_dict(self, types: Types = None, filter: object = None) -> dict[object, list[Window]]:
         """Return all windows by object; ``filter`` is a function of an opportunity, or a list of objects to leave out."""
         return self._by_object(self.opportunities, self._accepts(types, filter))
 
-    def upcoming_opportunities_dict(self, types: Types = None, filter: object = None) -> dict[Any, list[Window]]:
+    def upcoming_opportunities_dict(self, types: Types = None, filter: object = None) -> dict[object, list[Window]]:
         """Return the windows that have not closed by object."""
         return self._by_object(self.upcoming_opportunities, self._accepts(types, filter))
 
     @staticmethod
-    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[object, list[Window]]:
+    def _by_object(opportunities: Sequence[Opportunity], accepts: Filter) -> dict[object, list[Window]]:
         windows: dict[Any, list[Window]] = {}
         for opportunity in opportunities:
             if accepts(opportunity):
@@ -65,9 +65,9 @@ class OpportunityQueries(ABC):
 
     def next_opportunities_dict(
         self, types: Types = None, filter: object = None, min_needed: int | None = None
-    ) -> dict[Any, Window]:
+    ) -> dict[object, Window]:
         """Return the next window of every object; of the first ``min_needed`` objects, if given."""
-        accepts, windows = self._accepts(types, filter), dict[Any, Window]()
+        accepts, windows = self._accepts(types, filter), dict[object, Window]()
         for opportunity in self.upcoming_opportunities:
             if accepts(opportunity):
                 windows.setdefault(opportunity["object"], opportunity["window"])
@@ -115,7 +115,7 @@ class AccessSatellite(OpportunityQueries, Satellite):
         self.window_calculation_time: float = 0.0
         self.locations_for_access_checking: list[dict[str, Any]] = []
 
-    def set_dynamics(self, dyn_rate: float) -> Any:
+    def set_dynamics(self, dyn_rate: float) -> object:
         """See :meth:`Satellite.set_dynamics`; ground stations are places."""
         model = super().set_dynamics(dyn_rate)
         if issubclass(self.dyn_type, dyn.GroundStationDynModel):
@@ -241,12 +241,12 @@ class AccessSatellite(OpportunityQueries, Satellite):
         """Let only windows count for which a function of an opportunity is true, of some types or of all."""
         kinds = [types] if isinstance(types, str) else types
 
-        def keeps(opportunity: Opportunity) -> Any:
+        def keeps(opportunity: Opportunity) -> object:
             return (kinds is not None and opportunity["type"] not in kinds) or access_filter_fn(opportunity)
 
         self.access_filter_functions.insert(0 if prepend else len(self.access_filter_functions), keeps)
 
-    def get_access_filter(self) -> Any:
+    def get_access_filter(self) -> object:
         """Raise DeprecationWarning, as bsk_rl does."""
         raise DeprecationWarning("get_access_filter is deprecated. Use add_access_filter and default_access_filter instead.")
 
@@ -324,7 +324,7 @@ class ImagingSatellite(AccessSatellite):
             raise ValueError(f"Target {target_query} is not a known target")
         raise TypeError(f"target_query={target_query!r} must be an index, a Target or its id")
 
-    def task_target_for_imaging(self, target: Any, max_duration: float | None = None) -> None:
+    def task_target_for_imaging(self, target: Target, max_duration: float | None = None) -> None:
         """Image a target, for at most ``max_duration`` s."""
         self.logger.info("%s tasked for imaging", target)
         self.fsw.action_image(target.r_LP_P, self.buffer_name)
@@ -354,7 +354,8 @@ class ImagingSatellite(AccessSatellite):
         self.update_timed_terminal_event(until, info=f"for {target} window", extra_actions=over)
 
     def _update_image_event(self, target: Any) -> None:
-        self._disable_image_event()
+        if self._image_event_name in self.simulator.eventMap:
+            self.simulator.delete_event(str(self._image_event_name))
         self._image_event_name = valid_func_name(f"image_{self.name}_{target.id}")
 
         def taken(simulator: Simulator) -> None:
@@ -364,10 +365,6 @@ class ImagingSatellite(AccessSatellite):
             self.remove_imaging_line()
 
         self.simulator.add_image_event(self._image_event_name, self, taken, bool(self.variable_interval))
-
-    def _disable_image_event(self) -> None:
-        if self._image_event_name in self.simulator.eventMap:
-            self.simulator.delete_event(str(self._image_event_name))
 
     def draw_imaging_line(self, target: object, **_: object) -> None:
         """Do nothing: pictures for Vizard are not made."""

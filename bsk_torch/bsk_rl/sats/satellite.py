@@ -5,10 +5,11 @@ from __future__ import annotations
 import keyword
 import logging
 from abc import ABC
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import DTypeLike
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.act.actions import ActionBuilder, select_action_builder
@@ -19,6 +20,7 @@ from bsk_torch.bsk_rl.sim.trajectory import TrajectorySimulator
 from bsk_torch.bsk_rl.sim.views import DynamicsView, FlightSoftwareView
 from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.component import UserArguments
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.names import nearest
@@ -56,7 +58,7 @@ class Satellite(ABC, ResetableGroup):
     fsw: Any
     data_store: Any
     requires_retasking: bool
-    info: list[Any]
+    info: list[object]
     trajectory: TrajectorySimulator
     sat_args: dict[str, Any]
     backend: str = "compiled"
@@ -80,7 +82,7 @@ class Satellite(ABC, ResetableGroup):
         return getattr(cls, name)
 
     @classmethod
-    def default_sat_args(cls, **kwargs: object) -> dict[str, Any]:
+    def default_sat_args(cls, **kwargs: object) -> dict[str, object]:
         """Return all arguments of the models with their defaults, or the given values; KeyError for an unknown name."""
         defaults = sat_defaults(cls.get_dyn_type(), cls.get_fsw_type())
         for name, value in kwargs.items():
@@ -92,9 +94,9 @@ class Satellite(ABC, ResetableGroup):
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | None = None,
+        sat_args: UserArguments | None = None,
         obs_type: type = np.ndarray,
-        dtype: Any = np.float64,
+        dtype: DTypeLike = np.float64,
         variable_interval: bool = True,
     ) -> None:
         """Describe a satellite.
@@ -184,13 +186,13 @@ class Satellite(ABC, ResetableGroup):
         """Store the simulation of the episode."""
         self.simulator = simulator
 
-    def set_dynamics(self, dyn_rate: float) -> Any:
+    def set_dynamics(self, dyn_rate: float) -> object:
         """Return the dynamics model of the episode."""
         part, row = self.core_row
         self.dynamics = DynamicsView(self.simulator.fleet.satellites[part].dynamics, row, self)
         return self.dynamics
 
-    def set_fsw(self, fsw_rate: float) -> Any:
+    def set_fsw(self, fsw_rate: float) -> object:
         """Return the flight software of the episode."""
         part, row = self.core_row
         self.fsw = FlightSoftwareView(self.simulator.fleet.satellites[part].fsw, row, self)
@@ -208,7 +210,7 @@ class Satellite(ABC, ResetableGroup):
         return self.observation_builder.get_obs()
 
     @property
-    def observation_description(self) -> Any:
+    def observation_description(self) -> object:
         """Names of the entries of the observation."""
         return self.observation_builder.observation_description
 
@@ -217,12 +219,12 @@ class Satellite(ABC, ResetableGroup):
         """Space of the actions."""
         return self.action_builder.action_space
 
-    def set_action(self, action: Any) -> None:
+    def set_action(self, action: object) -> None:
         """Begin an action."""
         self.action_builder.set_action(action)
 
     @property
-    def action_description(self) -> Any:
+    def action_description(self) -> object:
         """Names of the actions."""
         return self.action_builder.action_description
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.scene.mixed import as_dictionary, check_known, check_same_keys, names_by_key
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["MixedScenario"]
 
@@ -45,7 +49,7 @@ class MixedScenario(ResetableGroup, Scenario):
     def _parts(self) -> list[Scenario]:
         return [scenario for scenario, _ in self._groups()]
 
-    def validate_satellite_names(self, satellites: list[Any]) -> None:
+    def validate_satellite_names(self, satellites: list[Satellite]) -> None:
         """Raise ValueError for repeated names, and for names in the mapping that no satellite has."""
         names = [satellite.name for satellite in satellites]
         if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -54,7 +58,7 @@ class MixedScenario(ResetableGroup, Scenario):
             check_known("satellite_mapping", group, names)
             scenario.validate_satellite_names([satellite for satellite in satellites if satellite.name in group])
 
-    def link_satellites(self, satellites: list[Any]) -> None:
+    def link_satellites(self, satellites: list[Satellite]) -> None:
         """Give each scenario the satellites of its group."""
         self.validate_satellite_names(satellites)
         super().link_satellites(satellites)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from dataclasses import astuple, dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from typing_extensions import override
@@ -15,6 +15,10 @@ from bsk_torch.bsk_rl.sim.inspection import Inspection
 from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.bsk_rl.utils.orbital import fibonacci_sphere
 from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel, RSOInspectorFSWModel
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["RSOPoint", "RSOPoints", "SphericalRSO"]
 
@@ -68,8 +72,8 @@ class RSOPoints(Scenario):
         inspection: What has been inspected, and lit, in the runs of the episode.
     """
 
-    rso: Any
-    inspectors: list[Any]
+    rso: Satellite
+    inspectors: list[Satellite]
     inspection: Inspection | None = None
 
     def reset_overwrite_previous(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel, SpaceToSpaceImagingFSWModel
 from bsk_torch.tasks.objects.catalog import RSOPriorityEvent, RSOTarget, RSOTargetCatalog
 from bsk_torch.tasks.objects.scene import partition_name
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["RSOPriorityEvent", "RSOTarget", "RSOTargetCatalog", "RSOTargets"]
 
@@ -29,7 +33,7 @@ class EpisodeTarget:
     """
 
     definition: RSOTarget
-    target_spacecraft: Any
+    target_spacecraft: object
     priority: float
 
     @property
@@ -38,7 +42,7 @@ class EpisodeTarget:
         return self.definition.id
 
 
-def _images(satellite: Any) -> bool:
+def _images(satellite: Satellite) -> bool:
     models = satellite.dyn_type if isinstance(satellite.dyn_type, tuple) else (satellite.dyn_type,)
     return any(isinstance(model, type) and issubclass(model, SpaceToSpaceImagingDynModel) for model in models)
 
@@ -90,7 +94,7 @@ class RSOTargets(Scenario):
         """Return the name of the partition of the store for images of a target."""
         return partition_name(target_id)
 
-    def validate_satellite_names(self, satellites: list[Any]) -> None:
+    def validate_satellite_names(self, satellites: list[Satellite]) -> None:
         """Raise ValueError for repeated names of satellites, imagers and targets that no satellite is, and other imagers."""
         names = [satellite.name for satellite in satellites]
         if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -104,7 +108,7 @@ class RSOTargets(Scenario):
                 f"satellites {unlisted} have SpaceToSpaceImagingDynModel, but are not among the imager_names of RSOTargets"
             )
 
-    def link_satellites(self, satellites: list[Any]) -> None:
+    def link_satellites(self, satellites: list[Satellite]) -> None:
         """See :meth:`Scenario.link_satellites`; ValueError unless imagers and targets are among them."""
         self.validate_satellite_names(satellites)
         super().link_satellites(satellites)

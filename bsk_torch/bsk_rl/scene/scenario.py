@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = ["Scenario", "UniformNadirScanning"]
 
@@ -21,11 +25,11 @@ class Scenario(ABC, Resetable):
     satellites: list[Any]
     utc_init: str
 
-    def link_satellites(self, satellites: list[Any]) -> None:
+    def link_satellites(self, satellites: list[Satellite]) -> None:
         """Keep the satellites of the environment."""
         self.satellites = satellites
 
-    def validate_satellite_names(self, satellites: list[Any]) -> None:
+    def validate_satellite_names(self, satellites: list[Satellite]) -> None:
         """Raise ValueError for satellites whose names, as the user gave them, do not fit; called before they are renamed."""
 
     def after_step(self, sim_time: float) -> None:

@@ -28,7 +28,7 @@ from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.initial_orbits import HIGHEST_APOAPSIS, LOWEST_PERIAPSIS
-from bsk_torch.sim.component import Arg
+from bsk_torch.sim.component import Arg, UserArguments
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
@@ -92,7 +92,7 @@ class Engine:
         self,
         satellites: Sequence[Any],
         world_type: type[WorldModel],
-        world_args: Mapping[str, Any],
+        world_args: Mapping[str, object],
         sim_rate: float,
         time_limit: float,
     ) -> SatelliteFleet:
@@ -203,7 +203,7 @@ def is_orbit(r: Vec3, v: Vec3) -> bool:
     return periapsis >= LOWEST_PERIAPSIS and 2.0 / inverse - periapsis <= HIGHEST_APOAPSIS
 
 
-def _needed_orbit(values: Sequence[Mapping[str, Any]], world: Mapping[str, Any]) -> str | None:
+def _needed_orbit(values: Sequence[UserArguments], world: UserArguments) -> str | None:
     """Return how orbits must be computed: freely where one is none, in every tick where one meets the atmosphere."""
     drag = {"planetRadius", "baseDensity", "scaleHeight"} <= world.keys()
     top = top_radius(*(float(world[name]) for name in ("planetRadius", "baseDensity", "scaleHeight"))) if drag else 0.0

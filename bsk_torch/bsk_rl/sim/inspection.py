@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -32,7 +32,7 @@ class Inspection:
     of the step, rounded, is not that of its records: bsk_rl's test of the beginning of an episode.
     """
 
-    def __init__(self, fleet: Fleet, rso: Place, inspectors: Sequence[Place], points: Sequence[Any]) -> None:
+    def __init__(self, fleet: Fleet, rso: Place, inspectors: Sequence[Place], points: Sequence[object]) -> None:
         """Begin to observe the runs of ``fleet``, which holds one episode.
 
         Args:

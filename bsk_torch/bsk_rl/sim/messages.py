@@ -124,7 +124,7 @@ def _battery(dynamics: View) -> Message:
 
 
 def _store(dynamics: View) -> Message:
-    def read() -> dict[str, Any]:
+    def read() -> dict[str, object]:
         levels, args = [float(x) for x in dynamics.partition_levels], dynamics.satellite.sat_args
         buffers = args.get("bufferNames", [WHOLE_STORE])  # None for numbered partitions
         names = list(buffers) if buffers is not None else [str(k) for k in range(len(levels))]
@@ -139,7 +139,7 @@ def _store(dynamics: View) -> Message:
 
 
 def _wheels(dynamics: View) -> Message:
-    def read() -> dict[str, Any]:
+    def read() -> dict[str, object]:
         speeds = dynamics.wheel_speeds.tolist()
         return {"wheelSpeeds": speeds + [0.0] * (WHEELS - len(speeds))}
 
@@ -172,7 +172,7 @@ AT_REST = (0.0, 0.0, 0.0)
 def gravity_factory(world: View) -> SimpleNamespace:
     """Return Basilisk's ``gravFactory``: ``spiceObject.planetStateOutMsgs`` of the Sun and of the Earth, m and m/s in N."""
 
-    def planet(name: str, r: list[float], v: list[float], turn: np.ndarray) -> dict[str, Any]:
+    def planet(name: str, r: list[float], v: list[float], turn: np.ndarray) -> dict[str, object]:
         return {"PositionVector": r, "VelocityVector": v, "J20002Pfix": turn.tolist(), "PlanetName": name}
 
     sun = Message(lambda: planet("sun", world.r_SN_N.tolist(), world.v_SN_N.tolist(), np.eye(3)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -15,6 +15,10 @@ from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.tasks.objects.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.tasks.objects.dyn import GATE_FIELDS, RSO_TRACK
 from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 LONGEST = 1e9
 """Longest time until a deadline, s."""
@@ -38,7 +42,7 @@ class Aims:
             self._targets.append(target)
             self._orbits = None
 
-    def point(self, imager: Any, target: Any) -> None:
+    def point(self, imager: Satellite, target: object) -> None:
         """Let the instrument of an imager point at a target whenever it images."""
         if self._orbits is None:
             self._orbits = self._begin()
@@ -71,7 +75,7 @@ class Capture:
         completed: Whether the image of the current task has been taken, as of the last :meth:`check_capture`.
     """
 
-    def __init__(self, satellite: Any) -> None:
+    def __init__(self, satellite: Satellite) -> None:
         """Begin the episode of an imager."""
         self.satellite = satellite
         self.records: list[RSOImageRecord] = []

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.run.encounters import LEFT, MET
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 logger = logging.getLogger(__name__)
 
@@ -45,7 +48,7 @@ class Event:
     """
 
     tick: int | None
-    effect: Callable[[Simulator], Any] | None
+    effect: Callable[[Simulator], object] | None
     terminal: bool
     eventActive: bool = True
     image_of: Any = None
@@ -68,9 +71,9 @@ class Simulator:
 
     def __init__(
         self,
-        satellites: Sequence[Any],
+        satellites: Sequence[Satellite],
         world_type: Any,
-        world_args: Mapping[str, Any],
+        world_args: Mapping[str, object],
         sim_rate: float = 1.0,
         max_step_duration: float = 600.0,
         time_limit: float = float("inf"),
@@ -87,20 +90,20 @@ class Simulator:
         self._h_ns = self.fleet.simulators[0].h_ns
         self._et = self.fleet.simulators[0].lookahead.flight.et[:1].clone()
         self._now = 0
-        self.collisions: list[tuple[Any, Any]] = []
+        self.collisions: list[tuple[object, object]] = []
         self._booked: set[tuple[str, int, int]] = set()
         places = {column: (k, row) for k, s in enumerate(self.fleet.simulators) for row, column in enumerate(s.columns)}
         for column, satellite in enumerate(self.satellites):
             satellite.core_row = places[column]
             satellite.set_simulator(self)
         self.world = WorldView(self.fleet.simulators[0].world, self)
-        self.dynamics_list: dict[str, Any] = {}
-        self.fsw_list: dict[str, Any] = {}
+        self.dynamics_list: dict[str, object] = {}
+        self.fsw_list: dict[str, object] = {}
         for satellite in self.satellites:
             self.dynamics_list[satellite.name] = satellite.set_dynamics(sim_rate)
             self.fsw_list[satellite.name] = satellite.set_fsw(sim_rate)
 
-    def __getstate__(self) -> Any:
+    def __getstate__(self) -> object:
         """Raise TypeError, as Basilisk's simulation does: the core reads the arguments of this episode from its environment."""
         raise TypeError(
             "the simulation of an episode cannot be copied or pickled, as in bsk_rl: copy the environment before its first "
@@ -164,11 +167,11 @@ class Simulator:
             return LONGEST_RUN
         return math.ceil(whole_nanoseconds(seconds) / self._h_ns)
 
-    def add_timed_event(self, name: str, seconds: float, effect: Callable[[Simulator], Any] | None, terminal: bool) -> None:
+    def add_timed_event(self, name: str, seconds: float, effect: Callable[[Simulator], object] | None, terminal: bool) -> None:
         """Let something happen at the first tick at or after ``seconds``; an event of the same name is replaced."""
         self.eventMap[name] = Event(self.tick_at(seconds), effect, terminal)
 
-    def add_image_event(self, name: str, satellite: Any, effect: Callable[[Simulator], Any] | None, terminal: bool) -> None:
+    def add_image_event(self, name: str, satellite: object, effect: Callable[[Simulator], object] | None, terminal: bool) -> None:
         """Let something happen when a satellite has taken an image: when the first partition of its store grows."""
         self.eventMap[name] = Event(None, effect, terminal, image_of=satellite)
         self._arm(satellite, True)
@@ -189,11 +192,11 @@ class Simulator:
         eventName: str,
         eventRate: int = 0,
         eventActive: bool = False,
-        conditionList: Any = None,
-        actionList: Any = None,
+        conditionList: object = None,
+        actionList: object = None,
         conditionTime: int | None = None,
-        conditionFunction: Any = None,
-        actionFunction: Callable[[Simulator], Any] | None = None,
+        conditionFunction: object = None,
+        actionFunction: Callable[[Simulator], object] | None = None,
         terminal: bool = False,
         exactRateMatch: bool = True,
     ) -> None:
@@ -281,7 +284,7 @@ class Simulator:
             if self._now == 0:
                 one.logger.warning("Collision occurred at t=0, may incorrectly report failure type")
 
-    def _fire(self, images: Sequence[Any]) -> bool:
+    def _fire(self, images: Sequence[object]) -> bool:
         """Let the events happen that are due, in the order of the map, and return whether one of them ends the step.
 
         Those that an effect adds, or activates later in the map, are looked at as well.
@@ -299,7 +302,7 @@ class Simulator:
             k = 1 + next((n for n, other in enumerate(self.eventMap.values()) if other is event), -1)
         return ends
 
-    def _is_due(self, event: Event, images: Sequence[Any]) -> bool:
+    def _is_due(self, event: Event, images: Sequence[object]) -> bool:
         if event.tick is not None:
             return event.eventActive and event.tick <= self._now
         part, row = event.image_of.core_row

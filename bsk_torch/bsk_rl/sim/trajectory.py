@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any
 
 import numpy as np
 import torch
@@ -76,10 +75,10 @@ class TrajectorySimulator:
 
     def __init__(
         self,
-        utc_init: Any,
-        rN: Any = None,
-        vN: Any = None,
-        oe: Any = None,
+        utc_init: object,
+        rN: object = None,
+        vN: object = None,
+        oe: object = None,
         mu: float = MU_EARTH,
         dt: float = PLAN_STEP,
         backend: str = "compiled",

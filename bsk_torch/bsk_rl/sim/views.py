@@ -11,7 +11,7 @@ import inspect
 from copy import deepcopy
 from functools import cache, cached_property, partial
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
@@ -28,6 +28,10 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import observable
 from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
 from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 CORE = "bsk_torch.sim."
 """Modules of the classes whose members are evaluated by the core."""
@@ -49,7 +53,7 @@ class Episode(Protocol):
     world_args: dict[str, Any]
     fleet: SatelliteFleet
     aims: Aims
-    collisions: list[tuple[Any, Any]]
+    collisions: list[tuple[object, object]]
 
     def sights_now(self) -> np.ndarray:
         """Return whether one satellite sees another one now, [S, S] booleans."""
@@ -98,7 +102,7 @@ class ModelView:
         """Return a view whose members the user's class of the model may override."""
         return object.__new__(_overriding(cls, type(whole)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
 
-    def __init__(self, whole: Any, row: int) -> None:
+    def __init__(self, whole: object, row: int) -> None:
         """View row number ``row`` of a model of the core."""
         self.__dict__.update(_whole=whole, _row=row)
 
@@ -195,7 +199,7 @@ class ModelView:
         return self.satellite.dynamics
 
     @property
-    def fsw(self) -> Any:
+    def fsw(self) -> object:
         """The flight-software model of the satellite."""
         return self.satellite.fsw
 
@@ -217,7 +221,7 @@ class ModelView:
 class SatelliteModelView(ModelView):
     """A model of one satellite; arguments that bsk_rl's model keeps are attributes."""
 
-    def __init__(self, whole: Any, row: int, satellite: Any) -> None:
+    def __init__(self, whole: object, row: int, satellite: Satellite) -> None:
         """View the model of a satellite."""
         super().__init__(whole, row)
         self.__dict__["satellite"] = satellite
@@ -258,14 +262,14 @@ class DynamicsView(SatelliteModelView):
         return self.simulator.satellites.index(self.satellite)
 
     @property
-    def conjunctions(self) -> list[Any]:
+    def conjunctions(self) -> list[object]:
         """Satellites with which this one has collided, in the order of the collisions."""
         self._require("conjunctions")
         pairs = (pair for pair in self.simulator.collisions if self.satellite in pair)
         return [other if one is self.satellite else one for one, other in pairs]
 
     @property
-    def out_of_ranges(self) -> list[Any]:
+    def out_of_ranges(self) -> list[object]:
         """Satellites from which this one was too far away."""
         self._require("out_of_ranges")
         flags = self._whole.out_of_ranges[self._row].tolist()
@@ -332,7 +336,7 @@ class DynamicsView(SatelliteModelView):
             for target_id, target in self._bound_targets.items()
         }
 
-    def _access(self, other: DynamicsView) -> dict[str, Any]:
+    def _access(self, other: DynamicsView) -> dict[str, object]:
         pole = Vec3.of(torch.from_numpy(self.world.PN[2]))
         ends = [Vec3.of(torch.tensor(list(each.r_BN_N)).double()) for each in (self, other)]
         clear = bool(line_clearance(*(stretch(end, pole) for end in ends)) > 0.0)
@@ -478,7 +482,7 @@ class Station:
         satellites = self._simulator.satellites
         return [messages.Message(partial(self._access, s)) for s in satellites if issubclass(s.dyn_type, GroundStationDynModel)]
 
-    def _access(self, satellite: Any) -> dict[str, Any]:
+    def _access(self, satellite: Satellite) -> dict[str, object]:
         line_P = satellite.dynamics.r_BN_P - self._place
         reach = float(np.linalg.norm(line_P))
         elevation = float(np.arcsin(line_P @ self._place / (reach * np.linalg.norm(self._place))))
@@ -491,7 +495,7 @@ class WorldView(ModelView):
 
     sun_index, body_index = 0, 1
 
-    def __init__(self, whole: Any, simulator: Episode) -> None:
+    def __init__(self, whole: object, simulator: Episode) -> None:
         """View the world of a simulation."""
         super().__init__(whole, 0)
         self.__dict__["_simulator"] = simulator
@@ -506,19 +510,19 @@ class WorldView(ModelView):
         return args[name] if name in messages.KEPT and name in args else super().__getattr__(name)
 
     @property
-    def eclipseObject(self) -> Any:
+    def eclipseObject(self) -> object:
         """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
         if all(component.slot != "eclipse" for component in type(self._whole).all_components()):
             raise AttributeError(self._advice("eclipseObject"))
         return messages.eclipses(self)
 
     @property
-    def gravFactory(self) -> Any:
+    def gravFactory(self) -> object:
         """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
         return messages.gravity_factory(self)
 
     @property
-    def ephemConverter(self) -> Any:
+    def ephemConverter(self) -> object:
         """Basilisk's converter of ephemerides, with the same messages."""
         return messages.ephemerides(self)
 

@@ -10,10 +10,10 @@ import numpy as np
 __all__ = ["balancedHR16Triad", "idealMonarc1Octet"]
 
 
-class WheelTriad(Sequence[Any]):
+class WheelTriad(Sequence[object]):
     """Three entries, of which the last are wheel speeds, rpm; reading the others, Basilisk's objects, raises TypeError."""
 
-    def __init__(self, speeds: Any) -> None:
+    def __init__(self, speeds: object) -> None:
         """Keep the speeds [3]."""
         self.speeds = speeds
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
 from bsk_torch.astro.relative import aligned_with_hill, rv2HN
 from bsk_torch.initial import AXES, SPIN
+from bsk_torch.sim.component import UserArguments
 
 __all__ = ["hill_frame_attitude", "random_tumble"]
 
@@ -48,7 +48,7 @@ def hill_frame_attitude(
     return sigma.numpy(), hill_rate.numpy() + np.radians(rate) * axis
 
 
-def _rate(spin: Mapping[str, Any]) -> float:
+def _rate(spin: UserArguments) -> float:
     if spin["type"] == "fixed":
         return float(spin["rate"])
     if spin["type"] != "uniform":

@@ -28,7 +28,7 @@ __all__ = [
     "vectorize_nested_dict",
 ]
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
 
 class Resetable:
@@ -50,6 +50,21 @@ class Resetable:
 
     def reset_post_sim_init(self) -> None:
         """Prepare an episode, at time zero."""
+
+
+class Part(Resetable):
+    """An action or an observation: ``satellite`` is the satellite that has it, ``simulator`` the simulation of the episode."""
+
+    satellite: Any
+    simulator: Any
+
+    def link_satellite(self, satellite: object) -> None:
+        """Store the satellite."""
+        self.satellite = satellite
+
+    def link_simulator(self, simulator: object) -> None:
+        """Store the simulation of the episode."""
+        self.simulator = simulator
 
 
 class ResetableGroup(Resetable):
@@ -96,7 +111,7 @@ def default_args(**defaults: object) -> Callable[[Function], Function]:
     return declare
 
 
-def collect_default_args(object: object) -> dict[str, Any]:
+def collect_default_args(object: object) -> dict[str, object]:
     """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order.
 
     Of a class of models, the result has the arguments that its counterpart in bsk_rl declares, too.

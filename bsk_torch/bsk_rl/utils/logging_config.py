@@ -78,7 +78,7 @@ class SimFormatter(logging.Formatter):
 class ContextFilter(logging.Filter):
     """Adds the simulated time of an environment to records, and drops those of other processes."""
 
-    def __init__(self, name: str = "", env: Any = None, proc_id: int | None = None) -> None:
+    def __init__(self, name: str = "", env: object = None, proc_id: int | None = None) -> None:
         """Add the time of ``env``, and keep records of the process ``proc_id``; ``name`` as in :class:`logging.Filter`."""
         super().__init__(name)
         self.env, self.proc_id = env, proc_id

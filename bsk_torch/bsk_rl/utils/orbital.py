@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,10 @@ from bsk_torch.bsk_rl.sim.trajectory import TrajectorySimulator
 from bsk_torch.bsk_rl.utils import orbital_motion as orbitalMotion  # noqa: N812  (the name that programs import)
 from bsk_torch.bsk_rl.utils.orbital_motion import ClassicElements, elem2rv, rv2elem
 from bsk_torch.rand import MONTHS
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+
 
 __all__ = [
     "TrajectorySimulator",
@@ -42,7 +46,7 @@ logger = logging.getLogger(__name__)
 R_ALTITUDE = 6371
 """Radius above which altitudes are counted, km: the Earth's mean radius."""
 
-Randomizer = Callable[[Sequence[Any]], dict[Any, dict[str, Any]]]
+Randomizer: TypeAlias = "Callable[[Sequence[Satellite]], dict[Satellite, dict[str, object]]]"
 """Returns arguments by satellite, for ``sat_arg_randomizer`` of an environment."""
 
 
@@ -178,7 +182,7 @@ def walker_delta_args(
         walker_delta_kwargs: Further arguments of :func:`walker_delta`.
     """
 
-    def arranged(satellites: Sequence[Any]) -> dict[Any, dict[str, Any]]:
+    def arranged(satellites: Sequence[Satellite]) -> dict[Satellite, dict[str, object]]:
         pattern = walker_delta(
             n_spacecraft=len(satellites),
             n_planes=n_planes,

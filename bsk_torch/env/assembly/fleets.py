@@ -28,7 +28,7 @@ from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import convert, drawn_once, holds_orbit
 from bsk_torch.sim.assembly.composition import compose, world_components
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
-from bsk_torch.sim.component import Arg, Component, Field
+from bsk_torch.sim.component import Arg, Component, Field, Values
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.fsw.target import VERTICAL
@@ -290,7 +290,7 @@ class FleetBuilder:
         check_ephemeris(drawn, limit)
         return drawn._replace(present=self.draw_present(fleet, key, answers)), limit.to(self.device)
 
-    def draw_arguments(self, fleet: Fleet, key: Key) -> list[dict[str, Any]]:
+    def draw_arguments(self, fleet: Fleet, key: Key) -> Sequence[Values]:
         """Return only the arguments of satellites and world of the key's environments, as :meth:`draw` does, for each type."""
         answers = self.ask(fleet, key)
         arguments = None if self.randomizer is None else self.randomizer(key, answers)

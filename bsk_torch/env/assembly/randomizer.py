@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -23,7 +23,9 @@ class Randomizer:
     """Draws the arguments of a ``sat_arg_randomizer`` for the key's n environments."""
 
     def __init__(
-        self, source: Formation | Callable[[list[Satellite]], Mapping[Any, object]], satellites: Sequence[Satellite]
+        self,
+        source: Formation | Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, object]]],
+        satellites: Sequence[Satellite],
     ) -> None:
         """Check the names of the ``satellites``; the formation may raise an error."""
         self.source, self.satellites = source, list(satellites)
@@ -45,7 +47,7 @@ class Randomizer:
         with seeded(key.named("sat_arg_randomizer")) as rows:
             return self._stacked([self.ask() for _ in rows])
 
-    def ask(self) -> dict[tuple[str, int], Any]:
+    def ask(self) -> dict[tuple[str, int], object]:
         """Return the values of the user function for one episode, by argument and satellite."""
         answer = cast(Callable[[list[Satellite]], object], self.source)(self.satellites)
         if not isinstance(answer, Mapping):

@@ -11,18 +11,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from typing_extensions import Unpack
 
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
 from bsk_torch.lab.planners.planner import check_no_planner
-from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues
+from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues, JudgeOptions
 from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.rl.policies.shared_policy import member_views
@@ -162,7 +163,7 @@ class Audit:
         """Return the indices of the ``count`` decisions with the largest regrets, the largest first."""
         return self.regret.topk(min(count, len(self.time))).indices
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return all decisions as lists, for JSON; NaN becomes None."""
         decisions = {
             "seed": [self.seeds[k] for k in self.episode.tolist()],
@@ -183,7 +184,7 @@ class Audit:
         }
 
 
-def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options: Any) -> Audit:
+def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options: Unpack[JudgeOptions]) -> Audit:
     """Play the episodes of ``seeds`` with a policy, and value all legal actions at each decision.
 
     Args:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
@@ -47,7 +46,7 @@ CLOSE = 1e-4
 HORIZON_MARGIN = 1e-3
 """Share of the Earth's radius below the horizon within which access is still asked of Basilisk."""
 
-Array = NDArray[Any]
+Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ class BenchCertificate:
     seeds: tuple[int, ...]
     flights: tuple[Comparison, ...]
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """Plain values for a file."""
         rates = [[flight.measures[side]["CR"] for flight in self.flights] for side in (0, 1)]
         return {

@@ -26,9 +26,8 @@ from Basilisk.simulation import (
     spacecraft,
 )
 from Basilisk.utilities import SimulationBaseClass, macros, orbitalMotion, simIncludeGravBody, simIncludeRW
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+Array = np.ndarray
 
 EPOCH = "2019 Jan 01 00:00:00.000000 (UTC)"
 R_EARTH = 6378136.6  # m, sphere

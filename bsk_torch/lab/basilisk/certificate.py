@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import gymnasium
 import torch
@@ -72,7 +72,7 @@ class Certificate:
         """Whether all episodes are the same, and their returns up to :data:`TOLERANCE`."""
         return bool(self.same.all()) and self.largest_difference <= TOLERANCE
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """Plain values for a file."""
         return {
             "agrees": self.agrees,

@@ -26,6 +26,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.rand import Distribution, Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
+from bsk_torch.sim.component import UserArguments
 from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.environment.world import DEFAULT_STATIONS, on_ellipsoid
 from bsk_torch.sim.fsw.target import VERTICAL
@@ -109,8 +110,8 @@ class Start:
     """Initial conditions of an episode, as arguments; ``targets`` [T, 3] m Earth-fixed with priorities [T], if any."""
 
     seed: int
-    sat_args: dict[str, Any]
-    world_args: dict[str, Any]
+    sat_args: UserArguments
+    world_args: UserArguments
     time_limit: float
     targets: tuple[Array, Array] | None = None
 
@@ -188,7 +189,7 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     fixed = {name: satellite.given[name] for name in settings if name not in satellite.random and name != VERTICAL}
     drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
-    world_settings = stations_on_sphere(cast(Mapping[str, Any], env.options.world_args or {}))
+    world_settings = stations_on_sphere(cast(Mapping[str, object], env.options.world_args or {}))
     fixed_world = {name: value for name, value in world_settings.items() if name not in world.random}
     drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
     epochs = epochs_of(env, seeds)
@@ -204,7 +205,7 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     ]
 
 
-def stations_on_sphere(world_args: Mapping[str, Any]) -> Mapping[str, Any]:
+def stations_on_sphere(world_args: UserArguments) -> UserArguments:
     """Return arguments of the world that put ground stations at the same points for Basilisk, which counts from a sphere.
 
     There, elevations are counted from a station's radius, which is up to 0.19 degrees from the normal of the ellipsoid.
@@ -220,7 +221,7 @@ def stations_on_sphere(world_args: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**world_args, "groundStationsData": points, "groundLocationPlanetRadius": R_EARTH}
 
 
-def plain(values: Tensor) -> list[Any]:
+def plain(values: Tensor) -> list[object]:
     """Rows as numbers and lists."""
     return values.double().cpu().tolist()
 

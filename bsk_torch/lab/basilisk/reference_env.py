@@ -17,6 +17,7 @@ from tensordict import TensorDict
 from bsk_torch.lab.basilisk.flight import LONGEST, Array, Flight, Pilot, Problem, Start
 from bsk_torch.presets.aeos import ORBIT, SATELLITE, TARGET
 from bsk_torch.presets.aeos_power import BIN, BINS, CHARGE, CROWD, DESAT, FAST, RESERVE, RESOURCES
+from bsk_torch.sim.component import UserArguments
 
 # -- presets ----------------------------------------------------------------------------------------------------------
 
@@ -72,9 +73,9 @@ def nadir_scan(problem: Problem, start: Start) -> SatelliteTasking:
     return environment(problem, start, satellite, scene.UniformNadirScanning(**problem.scenario), data.ScanningTimeReward())
 
 
-def bits(arguments: dict[str, Any]) -> dict[str, Any]:
+def bits(arguments: UserArguments) -> UserArguments:
     """The arguments with a whole number of bits in the store, which both sides make of it."""
-    return arguments | ({"storageInit": int(arguments["storageInit"])} if "storageInit" in arguments else {})
+    return dict(arguments) | ({"storageInit": int(arguments["storageInit"])} if "storageInit" in arguments else {})
 
 
 def environment(problem: Problem, start: Start, satellite: object, scenario: object, rewarder: object) -> SatelliteTasking:

@@ -7,7 +7,7 @@ learned from flights; the schedule is computed once, before the episode, and the
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -106,7 +106,7 @@ def _program(
     big_forth, big_back = last[i] + slew - first[j], last[j] + slew - first[i]
     rows, ones = torch.cat([k, k, k, k, k]), torch.ones(pairs, dtype=torch.float64)
 
-    def inequality(a: Tensor, b: Tensor, big: Tensor, sign: float) -> Any:
+    def inequality(a: Tensor, b: Tensor, big: Tensor, sign: float) -> object:
         """Coefficients of ``t_b - t_a - M (y_a + y_b) - sign M z``."""
         columns = torch.cat([n + b, n + a, a, b, 2 * n + k])
         values = torch.cat([ones, -ones, -big, -big, -sign * big])

@@ -23,6 +23,8 @@ from bsk_torch.files import write_file
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
+    from bsk_torch.cli.run_folder import Measure
+    from bsk_torch.lab.commands.results import Played
     from bsk_torch.lab.suites.suite import Score, Task
 
 logger = logging.getLogger(__name__)
@@ -166,7 +168,7 @@ def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[st
     return certifiers
 
 
-def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
+def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str, object]:
     """Return what a file says about a score; the score proper where the suite has a reference for the task."""
     from bsk_torch.lab.suites.suite import normalised
 
@@ -209,7 +211,7 @@ def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dic
     return (content["format"], content["suite"]), content["policies"]
 
 
-def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, Any]:
+def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, object]:
     """Return the content of the JSON file."""
     import torch
 
@@ -231,7 +233,7 @@ def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[
 
 
 def print_suite(
-    results: Mapping[str, Mapping[str, Any]],
+    results: Mapping[str, Mapping[str, Played]],
     tasks: Sequence[Task],
     suite: str,
     counts: Mapping[str, int],
@@ -260,7 +262,7 @@ def print_suite(
         print_message(REMARKS[suite])
 
 
-def rows_of(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, str]]:
+def rows_of(rows: Mapping[str, Played], task: Task) -> list[dict[str, str]]:
     """Return the cells of the policies that have played a task by column, the best policy last but for planners ahead of it."""
     from bsk_torch.lab.suites.suite import ranking
 
@@ -277,20 +279,20 @@ def rows_of(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str,
     return table
 
 
-def measure_cells(row: Mapping[str, Any], task: Task, behind: Mapping[str, str]) -> dict[str, str]:
+def measure_cells(row: Played, task: Task, behind: Mapping[str, str]) -> dict[str, str]:
     """Return the cells of a policy by column, with the measures of the task."""
     cells = {name: amount(row["measures"][name]) for name in task.measures}
     return cells | dict(behind) | {"ms / decision": f"{1e3 * row['seconds_per_decision']:.3f}"}
 
 
-def amount(estimate: Mapping[str, float]) -> str:
+def amount(estimate: Measure) -> str:
     """Return a measure with its interval, in the digits that its size asks for."""
     size = abs(estimate["mean"])
     digits = 0 if size >= 100.0 else 2 if size >= 1.0 else 3
     return f"{estimate['mean']:,.{digits}f} ± {estimate['half_width']:,.{digits}f}"
 
 
-def score_cells(row: Mapping[str, Any], behind: Mapping[str, str]) -> dict[str, str]:
+def score_cells(row: Played, behind: Mapping[str, str]) -> dict[str, str]:
     """Return the cells of a policy by column, with its score."""
     simulated = row.get("simulated_per_decision")
     return {
@@ -303,7 +305,7 @@ def score_cells(row: Mapping[str, Any], behind: Mapping[str, str]) -> dict[str, 
     }
 
 
-def on_basilisk(row: Mapping[str, Any]) -> str:
+def on_basilisk(row: Played) -> str:
     """Return how many episodes are the same on Basilisk, and the largest difference of their returns."""
     if "basilisk" not in row:
         return ""

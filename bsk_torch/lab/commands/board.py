@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.cli.terminal import fail, print_message, refusing
+from bsk_torch.lab.commands.results import Returns
 from bsk_torch.lab.suites.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
 from bsk_torch.lab.suites.suite import references
 from bsk_torch.sim.names import nearest
@@ -62,7 +62,7 @@ class Board:
 
 
 def board_of(
-    results: Mapping[str, Mapping[str, Any]],
+    results: Mapping[str, Mapping[str, Returns]],
     methods: Mapping[str, Sequence[str]],
     suite: str,
     titles: Sequence[str],
@@ -103,7 +103,7 @@ def scores_of(rows: Mapping[str, Mapping[str, object]], policies: Sequence[str],
     return (returns - low) / (high - low)
 
 
-def flights_of(rows: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
+def flights_of(rows: Sequence[Returns]) -> tuple[int, int]:
     """Return how many episodes are the same on Basilisk, and how many were repeated there."""
     certified = [row["basilisk"] for row in rows if "basilisk" in row]
     return sum(one["same"] for one in certified), sum(len(one["returns"]) for one in certified)

@@ -94,7 +94,7 @@ def explain_failures(
         echo(f"{draw} was not drawn: no satellite died")
 
 
-def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:
+def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, object]:
     """Return figures of all episodes: returns, deaths by cause and outcome, and bounds on the survival of the best policy."""
     from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
     from bsk_torch.rl.evaluation.statistics import confidence

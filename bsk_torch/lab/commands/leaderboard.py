@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -65,7 +65,7 @@ def leaderboard(
     """
     with working("starting"):
         from bsk_torch.lab.commands.board import board_of
-        from bsk_torch.lab.commands.results import Results
+        from bsk_torch.lab.commands.results import Results, Returns
         from bsk_torch.lab.suites.suite import published, references, tasks_of
 
     figure = drawing(draw, "bsk_torch.viz.figures.curves")
@@ -79,7 +79,7 @@ def leaderboard(
         reference = published(suite) if published_suite else {"policies": {}, "methods": {}}
     if not references(suite):
         fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
-    entries, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
+    entries, results = read_earlier(files, suite, Results), dict[str, dict[str, Returns]]()
     if files and not entries:
         fail(f"{', '.join(map(str, files))} has no policies")
     add_results(results, reference["policies"])
@@ -147,7 +147,7 @@ def interval_text(interval: Interval) -> str:
     return f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
 
 
-def document(board: Board) -> dict[str, Any]:
+def document(board: Board) -> dict[str, object]:
     """Return the content of the JSON file."""
     methods = {
         name: {measure: interval._asdict() for measure, interval in board.measures(name).items()}

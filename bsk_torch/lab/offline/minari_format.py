@@ -86,7 +86,7 @@ def write_minari(root: Path, transitions: TensorDict, recipe: Recipe, behavior: 
     return name
 
 
-def _buffers(transitions: TensorDict, sizes: list[int], recipe: Recipe) -> Iterator[Any]:
+def _buffers(transitions: TensorDict, sizes: list[int], recipe: Recipe) -> Iterator[object]:
     buffer = import_module("minari.data_collector").EpisodeBuffer
     for k, (seed, episode) in enumerate(zip(recipe.seeds, transitions.split(sizes), strict=True)):
         yield buffer(

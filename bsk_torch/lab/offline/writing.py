@@ -8,7 +8,7 @@ import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict
@@ -57,7 +57,7 @@ class Played(NamedTuple):
     sampled: int
 
 
-def write_dataset(folder: Path | str, env: Tasking, recipe: Recipe, progress: Progress = lambda doing: None) -> dict[str, Any]:
+def write_dataset(folder: Path | str, env: Tasking, recipe: Recipe, progress: Progress = lambda doing: None) -> dict[str, object]:
     """Play the episodes of a dataset, and write it; see :func:`bsk_torch.lab.offline.open_dataset` for reading.
 
     The content depends on the recipe only, not on the number of episodes played at once. It is collected next to

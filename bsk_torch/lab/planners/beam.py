@@ -7,19 +7,19 @@ different durations are comparable.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.base_policies import Base
 from bsk_torch.lab.planners.branches import Discounting, Flown, Jobs
-from bsk_torch.lab.planners.planner import Planner
+from bsk_torch.lab.planners.planner import DiscountOptions, Planner
 from bsk_torch.lab.planners.priors import Prior, StateSummary
 
 
@@ -122,7 +122,7 @@ class BeamSearch(Planner):
         width: int = 4,
         depth: int = 3,
         prior: TensorDictModuleBase | None = None,
-        **options: Any,
+        **options: Unpack[DiscountOptions],
     ) -> None:
         """See :class:`~bsk_torch.lab.planners.planner.Planner` for the other arguments, and for errors.
 

@@ -6,17 +6,17 @@ sample, C. Pinneri et al., "Sample-efficient cross-entropy method for real-time 
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.base_policies import Base
-from bsk_torch.lab.planners.planner import Planner
+from bsk_torch.lab.planners.planner import Planner, PlannerOptions
 from bsk_torch.lab.planners.resampling import present_key
 
 
@@ -44,7 +44,7 @@ class CrossEntropy(Planner):
         spread: float = 0.3,
         smoothing: float = 0.2,
         gamma: float = 1.0,
-        **options: Any,
+        **options: Unpack[PlannerOptions],
     ) -> None:
         """See :class:`~bsk_torch.lab.planners.planner.Planner` for the other arguments, and for errors.
 

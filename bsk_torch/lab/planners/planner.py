@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from typing_extensions import TypedDict
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
@@ -66,6 +67,23 @@ class PlanCache:
     @staticmethod
     def _now(env: Tasking, rows: Tensor) -> Tensor:
         return torch.stack([env.state.seed[rows], env.state.episode[rows], env.fleet.ticks[rows]], 1)
+
+
+class PlannerOptions(TypedDict, total=False):
+    """Further arguments of all planners; see :class:`Planner`."""
+
+    reward_time: str
+    value: Value | None
+    futures: int | None
+    redraw: Redraw | None
+    seed: int
+    rows: int
+
+
+class DiscountOptions(PlannerOptions, total=False):
+    """The same, and the discount, where its default is that of :class:`Planner`."""
+
+    gamma: float
 
 
 class Planner(TensorDictModuleBase):

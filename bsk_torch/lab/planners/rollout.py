@@ -6,19 +6,19 @@ an exact model and a horizon at the end of the episode, the planner is never wor
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
-from bsk_torch.lab.planners.planner import Planner
+from bsk_torch.lab.planners.planner import DiscountOptions, Planner, PlannerOptions
 from bsk_torch.lab.planners.priors import Prior
 
 ACTION_VALUES = "action_values"
@@ -34,7 +34,13 @@ class Rollout(Planner):
     name: ClassVar[str] = "rollout"
 
     def __init__(
-        self, env: Tasking, base: Base = None, *, horizon: float = 240.0, budget: int | None = None, **options: Any
+        self,
+        env: Tasking,
+        base: Base = None,
+        *,
+        horizon: float = 240.0,
+        budget: int | None = None,
+        **options: Unpack[DiscountOptions],
     ) -> None:
         """See :class:`~bsk_torch.lab.planners.planner.Planner` for the other arguments, and for errors.
 
@@ -86,6 +92,19 @@ class Rollout(Planner):
         return (legal & best) | is_base
 
 
+class ValueOptions(PlannerOptions, total=False):
+    """Further arguments of :class:`ActionValues`."""
+
+    budget: int | None
+
+
+class JudgeOptions(ValueOptions, total=False):
+    """All arguments of :class:`ActionValues` behind its policy."""
+
+    horizon: float
+    gamma: float
+
+
 class ActionValues(Rollout):
     """Plays its base policy, and writes the return of every legal action of the agents that decide.
 
@@ -99,7 +118,13 @@ class ActionValues(Rollout):
     _values: Tensor
 
     def __init__(
-        self, env: Tasking, base: Base = None, *, horizon: float = float("inf"), gamma: float = 1.0, **options: Any
+        self,
+        env: Tasking,
+        base: Base = None,
+        *,
+        horizon: float = float("inf"),
+        gamma: float = 1.0,
+        **options: Unpack[ValueOptions],
     ) -> None:
         """See :class:`~bsk_torch.lab.planners.planner.Planner` for the other arguments, and for errors.
 

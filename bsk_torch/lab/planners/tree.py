@@ -8,7 +8,7 @@ model", Nature 588, 2020.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -56,19 +56,19 @@ class Trees:
         self.discounting, self.exact, self.exploration = discounting, exact, exploration
         legal = root["legal"]
         r, a = legal.shape
-        on: dict[str, Any] = {"device": legal.device}
-        self.all_trees = torch.arange(r, **on)
+        device = legal.device
+        self.all_trees = torch.arange(r, device=device)
         edges, nodes = (r, most, a), (r, most)
         self.nodes: TensorDict = root.unsqueeze(1).expand(r, most).clone()
-        self.child = torch.full(edges, NONE, **on)
-        self.visits = torch.zeros(edges, dtype=torch.int64, **on)
-        self.total, self.reward, self.seconds = (torch.zeros(edges, dtype=torch.float64, **on) for _ in range(3))
-        self.best = torch.full(edges, -torch.inf, dtype=torch.float64, **on)
-        self.waiting = torch.zeros(edges, dtype=torch.bool, **on)
-        self.parent, self.by = (torch.full(nodes, NONE, **on) for _ in range(2))
-        self.leaf, self.elapsed = (torch.zeros(nodes, dtype=torch.float64, **on) for _ in range(2))
-        self.solved = torch.zeros(nodes, dtype=torch.bool, **on)
-        self.count = torch.ones(r, dtype=torch.int64, **on)
+        self.child = torch.full(edges, NONE, device=device)
+        self.visits = torch.zeros(edges, dtype=torch.int64, device=device)
+        self.total, self.reward, self.seconds = (torch.zeros(edges, dtype=torch.float64, device=device) for _ in range(3))
+        self.best = torch.full(edges, -torch.inf, dtype=torch.float64, device=device)
+        self.waiting = torch.zeros(edges, dtype=torch.bool, device=device)
+        self.parent, self.by = (torch.full(nodes, NONE, device=device) for _ in range(2))
+        self.leaf, self.elapsed = (torch.zeros(nodes, dtype=torch.float64, device=device) for _ in range(2))
+        self.solved = torch.zeros(nodes, dtype=torch.bool, device=device)
+        self.count = torch.ones(r, dtype=torch.int64, device=device)
 
     # -- selection ----------------------------------------------------------------------------------------------------
 

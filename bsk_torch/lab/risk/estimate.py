@@ -171,7 +171,7 @@ class Risk:
             return float("nan")
         return (1.0 - p) / (p * error**2) * self.seconds / self.tally.seconds
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything but the episodes, for JSON."""
         finite = self.error < float("inf")
         return {

@@ -88,7 +88,7 @@ class Flights:
 
     def actions(self, seeds: Tensor) -> list[list[Any]]:
         """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
-        env, slots, episodes = self.env, AgentTable(self.env), list[list[Any]]()
+        env, slots, episodes = self.env, AgentTable(self.env), list[list[object]]()
         for some in seeds.split(env.num_envs):
             decisions: list[list[object]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())

@@ -118,6 +118,11 @@ class LookAhead(StateTable):
             if self.access is not None:
                 self.access.generate(rows[part], orbits, duration[part])
 
+    @property
+    def _searched(self) -> AccessWindows:
+        assert self.access is not None
+        return self.access
+
     def _rows_at_once(self, rows: Tensor) -> int:
         number, pairs = (CHUNK, SEARCHED) if self.device.type == "cpu" else (DEVICE_CHUNK, DEVICE_SEARCHED)
         places = 1 if self.access is None else max(kind.count for kind in self.access.kinds.values())
@@ -225,8 +230,8 @@ class LookAhead(StateTable):
     def state_at(self, rows: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
         """Return position, m, and velocity, m/s, in N, [n, 3], of ``rows`` [n] in flight at the current time ``now`` [N] s."""
         self._reach(self.flight, now + REACH_AROUND, now)
-        flight: Any = self.flight
-        return flight.state_at(rows, now[rows])
+        assert isinstance(self.flight, RestartableArcs)
+        return self.flight.state_at(rows, now[rows])
 
     def restart(self, rows: Tensor, now: Tensor, r_N: Tensor, v_N: Tensor) -> None:
         """Let new orbits of ``rows`` [n] begin at the current time ``now`` [N] s, with r_N, m, and v_N, m/s, [n, 3] in N.
@@ -236,23 +241,23 @@ class LookAhead(StateTable):
         if self.arcs.restarts and self.access is not None:
             self._search_to(rows, now[rows], now)  # which passes are in progress
             self.access.restart(rows, now[rows])
-        flight: Any = self.flight
+        assert isinstance(self.flight, RestartableArcs)
         for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
             some = rows[part]
-            flight.restart(some, now[some], r_N[part], v_N[part])
+            self.flight.restart(some, now[some], r_N[part], v_N[part])
         if self.arcs.restarts:
             self.eclipses.restart(rows, search_range(r_N, v_N))
 
     def _search_to(self, rows: Tensor, time: Tensor, now: Tensor) -> None:
         """Search windows of ``rows`` [n] up to ``time`` [n] s at least; ``now`` [N] s is the present."""
-        access: Any = self.access
+        access = self._searched
         while bool((behind := access.ready[rows] < time).any()):
             rows, time = rows[behind], time[behind]
             self._search_further(rows, now)
 
     def _search_further(self, rows: Tensor, now: Tensor) -> None:
         """Search as many segments more of ``rows`` [n] as are searched at once."""
-        access: Any = self.access
+        access = self._searched
         target = torch.zeros_like(now)
         target[rows] = access.ready[rows] + access.ahead * access.segment + BEFORE_SEARCH + BEHIND_SEARCH
         self.reach(target, now)
@@ -364,7 +369,7 @@ class LookAhead(StateTable):
 
     def _reveal(self, kind: str, rows: Tensor, time: Tensor, wanted: Tensor, last: Tensor, allowed: Tensor | None) -> None:
         """Let ``rows`` [m] see as many windows as are ``wanted`` [N], with segments that begin before ``last`` [N] s."""
-        access: Any = self.access
+        access = self._searched
         while len(rows):
             some = None if allowed is None else allowed[rows]
             rows = access.reveal(kind, rows, time[rows], wanted[rows], last[rows], some)
@@ -377,7 +382,7 @@ class LookAhead(StateTable):
         Windows that close before the end of the search do so before all that have not been found yet. So queries see the same as
         if all had been searched again at the maneuver.
         """
-        access: Any = self.access
+        access = self._searched
         rows = torch.nonzero(access.ready < access.until).squeeze(-1)
         while len(rows):
             rows = access.uncertain(kind, rows, time[rows], wanted[rows], None if allowed is None else allowed[rows])

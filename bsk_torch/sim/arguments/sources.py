@@ -40,11 +40,11 @@ class Member:
     trial: object = field(compare=False)  # its value in the call that told the names
     names: frozenset[str] = field(compare=False)  # names that the function sets
 
-    def __call__(self) -> Any:
+    def __call__(self) -> object:
         """Return the value of a call of the function for this argument alone."""
         return self.ask("the function")[self.name]
 
-    def ask(self, title: str) -> dict[str, Any]:
+    def ask(self, title: str) -> dict[str, object]:
         """Return the values of a call; ValueError if it sets other arguments than the first one."""
         values = _called(self.function, title)
         if values.keys() != self.names:
@@ -132,7 +132,7 @@ def expand(arguments: Mapping[str, object] | Callable[[], Mapping[str, object]] 
     return {name: Member(arguments, name, value, names) for name, value in trial.items()}
 
 
-class Given(dict[str, Any]):
+class Given(dict[str, object]):
     """Given arguments; reading another one returns its default. Wrong names raise KeyError."""
 
     def __init__(self, arguments: Mapping[str, object], defaults: Mapping[str, object], title: str) -> None:
@@ -142,7 +142,7 @@ class Given(dict[str, Any]):
         for name, value in arguments.items():
             self[name] = value
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle and copy without the table of defaults being looked up item by item."""
         return Given, (dict(self), self.defaults, self.title)
 
@@ -151,7 +151,7 @@ class Given(dict[str, Any]):
             raise KeyError(unknown(self.title, name, self.defaults))
         super().__setitem__(name, no_gradient(f"{self.title}[{name!r}]", as_value(value)))
 
-    def __missing__(self, name: str) -> Any:
+    def __missing__(self, name: str) -> object:
         if name not in self.defaults:
             raise KeyError(unknown(self.title, name, self.defaults))
         return self.defaults[name]

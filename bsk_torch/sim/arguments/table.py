@@ -23,7 +23,7 @@ class ArgumentTable(dict[str, Any]):
 
     def __init__(self, components: Iterable[Component], overrides: UserArguments = EMPTY, title: str = "sat_args") -> None:
         """Collect the arguments of components, with ``overrides`` of defaults; KeyError, with ``title``, for unknown ones."""
-        self.rows, self.here = {arg.name: arg for component in components for arg in component.args}, dict[str, Any]()
+        self.rows, self.here = {arg.name: arg for component in components for arg in component.args}, dict[str, object]()
         super().__init__({name: arg.default for name, arg in self.rows.items()})
         for name, value in overrides.items():
             if name not in self:

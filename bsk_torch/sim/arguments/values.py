@@ -60,13 +60,6 @@ def _epoch(arg: Arg, value: object) -> float:
         raise ValueError(f"{arg.name}: {error}") from error
 
 
-def _random_epochs(arg: Arg, epochs: RandomEpoch, key: Key) -> Tensor:
-    """Return drawn epochs, [n] s of ET; words, which take longer to read than most simulators to reset, only for the error."""
-    et, (first, last) = epochs.draw_et(key), coverage()
-    inside = bool(((first <= et) & (et <= last)).all())
-    return et if inside else convert(arg, epochs.draw(key), len(key))
-
-
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
     values = values.cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
@@ -193,7 +186,7 @@ class Arguments:
         each = [arguments] if isinstance(arguments, Mapping) else list(arguments)
         merged = [self._merged(values) for values in each]
         self._given = [dict(merged[0]) for _ in columns] if isinstance(arguments, Mapping) else merged
-        self._of_envs: list[dict[str, dict[int, Any]]] = [{} for _ in self._given]
+        self._of_envs: list[dict[str, dict[int, object]]] = [{} for _ in self._given]
         self._changed: set[str] = set()
         self._look()
 
@@ -210,7 +203,7 @@ class Arguments:
         if not old and other.keys() == self.table.keys():
             return self
 
-        def wanted(values: Mapping[str, object]) -> dict[str, Any]:
+        def wanted(values: Mapping[str, object]) -> dict[str, object]:
             return {name: value for name, value in values.items() if name not in old or value is not old[name]}
 
         renewed = wanted(arguments) if isinstance(arguments, Mapping) else [wanted(values) for values in arguments]
@@ -352,7 +345,7 @@ class Arguments:
         known: Mapping[str, object] | None = None,
         answers: Sequence[Answers] | None = None,
         et: Tensor | None = None,
-    ) -> dict[str, Any]:
+    ) -> Values:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
         Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
@@ -474,7 +467,10 @@ class Arguments:
             if arg.kind in ("constant", "stations"):
                 return value
             if isinstance(value, RandomEpoch) and arg.kind == "utc":
-                return _random_epochs(arg, value, key.named(arg.name))
+                of_arg, (first, last) = key.named(arg.name), coverage()
+                drawn = value.draw_et(of_arg)  # words, which take longer to read, only for the error
+                inside = bool(((first <= drawn) & (drawn <= last)).all())
+                return drawn if inside else convert(arg, value.draw(of_arg), len(key))
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key), et)
             if callable(value):
@@ -503,7 +499,7 @@ class Arguments:
         return torch.full((1, *(size or 1 for size in arg.dims)), arg.missing, dtype=torch.float64)
 
 
-def drawn_once(arg: Arg, answer: object, key: Key, row: int) -> Any:
+def drawn_once(arg: Arg, answer: object, key: Key, row: int) -> object:
     """Return the value of a function's answer for one row of a key; a distribution is drawn."""
     return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 

@@ -6,7 +6,7 @@ import dataclasses
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,17 +16,17 @@ from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.initial_orbits import check_orbits
-from bsk_torch.sim.component import Arg, Component, asked
+from bsk_torch.sim.component import Arg, Component, Values, asked
 
 logger = logging.getLogger(__name__)
 
-ArgumentChange = tuple[int, str, Any, Sequence[int] | None]  # see bsk_torch.sim.arguments.values.Arguments.changed
+ArgumentChange = tuple[int, str, object, Sequence[int] | None]  # see bsk_torch.sim.arguments.values.Arguments.changed
 
 
 class TrialDraw(NamedTuple):
     """What a trial draw shows."""
 
-    values: dict[str, object]  # arguments of one or two environments by name
+    values: Values  # arguments of one or two environments by name
     parameters: dict[str, Tensor]  # parameters that follow from them by name
     uniform: set[str]  # names of the parameters that are the same for all rows
 
@@ -70,7 +70,7 @@ class TypeArguments:
         world: Mapping[str, object] | None = None,
         overrides: Overrides | None = None,
         answers: Sequence[Answers] | None = None,
-    ) -> dict[str, Any]:
+    ) -> Values:
         """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
 
         Values of satellites and world are [1, ...] or [n * count, ...] by name. Arguments of the ``world`` may have been drawn
@@ -88,7 +88,7 @@ class TypeArguments:
         self._check(values, overrides or ())
         return values
 
-    def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
+    def draw_some(self, names: Sequence[str], key: Key) -> dict[str, object]:
         """Return only the arguments ``names`` of satellites, as :meth:`draw` returns them, unchecked."""
         values = self.sat_args.draw_some(names, key)
         for name, (columns, replaced) in self.randomize(key).items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,6 +10,7 @@ from torch import Tensor
 from bsk_torch.astro.atmosphere import exponential_density, top_radius
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import MU_EARTH
+from bsk_torch.sim.component import Values
 from bsk_torch.sim.dyn import hub
 from bsk_torch.vec3 import Vec3
 
@@ -21,7 +21,7 @@ FARTHEST = 1e12  # largest initial distance from the Earth's center of a satelli
 DENSEST_AIR = 10.0  # largest density, kg/m^3, at an initial position
 
 
-def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
+def check_orbits(values: Values, orbit: str) -> None:
     """Check the initial orbits of drawn arguments.
 
     ``orbit`` is ``"arc"`` for orbits solved in advance, without drag; ``"integrated"``; or ``"free"`` for satellites that may
@@ -61,7 +61,7 @@ def _check_start(values: Mapping[str, object], r: Vec3) -> None:
         )
 
 
-def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
+def _lowest_periapsis(values: Values, r: Vec3, v: Vec3) -> float:
     """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for others."""
     source = "rN and vN are" if values["oe"] is None else "oe is"
     mu = torch.clamp(values["mu"], max=MU_EARTH)  # observed elements are those under the smaller one

@@ -256,7 +256,7 @@ def satellite_type(
     )
 
 
-class Looked(dict[str, Any]):
+class Looked(dict[str, object]):
     """Values by name that remember which of them were looked at."""
 
     def __init__(self, arguments: UserArguments) -> None:

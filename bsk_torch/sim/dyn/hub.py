@@ -186,7 +186,7 @@ def _leaves(states: EffectorStates) -> State:
     return tuple(leaf for state in states for field in state for leaf in (field if _has_parts(field) else (field,)))
 
 
-def _has_parts(field: Any) -> bool:
+def _has_parts(field: object) -> bool:
     return isinstance(field, tuple) and not isinstance(field, Vec3)
 
 
@@ -450,7 +450,7 @@ def fitted_hub(arguments: UserArguments) -> Component:
     return hub(form, place is None or bool(place.any()))
 
 
-def given_numbers(value: Any) -> Tensor | None:
+def given_numbers(value: object) -> Tensor | None:
     """Return an argument as given, float64; None for one that is drawn, and for what is no number, which raises when drawn."""
     if value is None or isinstance(value, Distribution) or callable(value):
         return None

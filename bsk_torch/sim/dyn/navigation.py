@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -166,7 +166,7 @@ START = Arg(
 """Six numbers, drawn for each episode, where ``RNGSeed`` is None."""
 
 
-def _matrix_form(matrix_argument: Any) -> tuple[bool, bool]:
+def _matrix_form(matrix_argument: object) -> tuple[bool, bool]:
     """Return whether ``PMatrix`` is a matrix, and whether numbers off its diagonal may act.
 
     What functions return is not known before they are called, and anything but a vector takes a matrix.
@@ -175,8 +175,11 @@ def _matrix_form(matrix_argument: Any) -> tuple[bool, bool]:
     if P is not None:
         matrix = P.ndim == 2
         return matrix, matrix and (P.shape != (ERRORS, ERRORS) or bool((P - torch.diag(P.diagonal())).any()))
-    is_drawn = isinstance(matrix_argument, Distribution)
-    matrix = np.ndim(matrix_argument.draw(first_key(1))) == 3 if is_drawn else callable(matrix_argument)
+    matrix = (
+        np.ndim(matrix_argument.draw(first_key(1))) == 3
+        if isinstance(matrix_argument, Distribution)
+        else callable(matrix_argument)
+    )
     return matrix, matrix
 
 

@@ -75,7 +75,7 @@ def orient_pole(bus: Bus) -> None:
     bus.EN = Mat3(x - z * drift.y + y * drift.z, y - x * drift.z + z * drift.x, z - y * drift.x + x * drift.y)
 
 
-def sun_at(bus: Bus, tau: Any) -> tuple[Vec3, Vec3]:
+def sun_at(bus: Bus, tau: Tensor) -> tuple[Vec3, Vec3]:
     """Return the Sun's position, m, and velocity, m/s, tau seconds after the first of the two records on the bus.
 
     The Sun is on the cubic through position and velocity of two records T = 3600 s apart (Hermite), with ``s = tau / T``::

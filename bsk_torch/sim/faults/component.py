@@ -2,7 +2,7 @@
 
 A fault changes arguments. What a tick reads are parameters, which components compute from the arguments in ``prepare``; so
 ``prepare`` of the same components computes them again from the changed arguments, and in the tick the parameters of the time are
-selected. Any argument of which a parameter follows can therefore change, also in components that know nothing about faults.
+selected. Every argument of which a parameter follows can therefore change, also in components that know nothing about faults.
 
 Parameters that the same faults change are a :class:`Group`. Its faults begin and end at known ticks; with these in order, e_1 to
 e_E, and the parameters P_j that follow from the faults that act after e_j, a parameter of tick k is P_j of the last ``e_j < k``.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -70,7 +70,7 @@ def declared_faults(arguments: Mapping[str, object], table: Mapping[str, Arg]) -
     return listed
 
 
-def changing(arguments: Mapping[str, object], faults: Iterable[Fault]) -> dict[str, Any]:
+def changing(arguments: Mapping[str, object], faults: Iterable[Fault]) -> dict[str, object]:
     """Return given arguments in which those that faults change may be anything, so that no component relies on their values."""
     return dict(arguments) | {name: CHANGING for fault in faults for name in fault.arguments}
 

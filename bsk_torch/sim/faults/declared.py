@@ -99,11 +99,11 @@ class Fault:
     """
 
     argument: str | Sequence[str]
-    value: Any = None
-    factor: Any = None
+    value: object = None
+    factor: object = None
     index: int | None = None
-    at: Any = None
-    lasts: Any = None
+    at: object = None
+    lasts: object = None
     over: float = 0.0
     only: str | Sequence[str] | None = None
     name: str = ""
@@ -142,7 +142,7 @@ class Fault:
 
     def change(self, number_: int) -> Any:
         """Return the value, or the factor, of the argument of that number."""
-        numbers = self.factor if self.value is None else self.value
+        numbers: Any = self.factor if self.value is None else self.value
         return numbers if len(self.arguments) == 1 else numbers[number_]
 
     def drawn(self, what: str) -> str:

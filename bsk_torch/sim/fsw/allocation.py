@@ -19,7 +19,7 @@ from bsk_torch.sim.dyn.effectors.wheel_set import along, described_wheels, unit_
 from bsk_torch.sim.fsw.stability import NULL_SHARE
 from bsk_torch.vec3 import Vec3, select
 
-Commands = tuple[Any, ...]
+Commands = tuple[object, ...]
 """Commands to actuators: vectors, planes, or tuples of planes, one for each field that holds them."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -119,7 +118,7 @@ LAW_ARGS = (
 """Arguments of every control law."""
 
 
-def with_given_terms(law: Component, given: Mapping[str, Any]) -> Component:
+def with_given_terms(law: Component, given: Mapping[str, object]) -> Component:
     """Return a control law with the terms that the arguments as given ask for."""
     return _with_terms(law, given["integralLimit"] is not None, given["knownTorquePntB_B"] is not None)
 
@@ -134,7 +133,7 @@ def _with_terms(law: Component, limited: bool, known: bool) -> Component:
     return law
 
 
-def fitted_feedback(given: Mapping[str, Any]) -> Component:
+def fitted_feedback(given: Mapping[str, object]) -> Component:
     """Return MRP feedback with the terms that the arguments as given ask for."""
     return with_given_terms(_FEEDBACK_WITH_WHEELS if given["compensateWheels"] else MRP_FEEDBACK, given)
 

@@ -50,7 +50,7 @@ def momentum_to_dump(h: Vec3, keep: Tensor) -> Vec3:
     return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
 
 
-def impulses(dH: Vec3, rows: Iterable[Sequence[Any]]) -> Pairs:
+def impulses(dH: Vec3, rows: Iterable[Sequence[Tensor]]) -> Pairs:
     """Return the impulse, N s, of each thruster for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them

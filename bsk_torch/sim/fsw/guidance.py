@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,6 +21,7 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.dyn.navigation import navigated
 from bsk_torch.sim.faults.declared import may_change
+from bsk_torch.sim.readout.observables import Now
 from bsk_torch.vec3 import Mat3, Vec3, only, select
 
 
@@ -95,7 +96,7 @@ def point_at_location(bus: Bus) -> None:
     point_at(bus, bus.instrument_axis_B, bus.r_LN_N, "location")
 
 
-def guided_angle(now: Any) -> Tensor:
+def guided_angle(now: Now) -> Tensor:
     """Return the angle between axis and target in the last tick of :func:`point_at_location`, [N] rad: ``4 atan |sigma_BR|``."""
     return 4.0 * torch.atan(now.location_sigma_BR.norm())
 
@@ -149,7 +150,7 @@ NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",)
 SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}  # what a mode resets in which pointing at the Sun begins
 
 
-def fitted_sun_pointing(given: Mapping[str, Any]) -> Component:
+def fitted_sun_pointing(given: Mapping[str, object]) -> Component:
     """Return the component that points nHat_B at the Sun, where it is not simply the normal of the panel."""
     return AXIS_TO_SUN if given.get("panels") is not None or may_change(given, "nHat_B") else SUN_POINTING
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -61,7 +61,7 @@ def _first_request(args: Values) -> dict[str, Tensor]:
     return first_place(args) | dict(zip((field.name for field in LIMITS), (never, none, none, none), strict=True))
 
 
-def fitted_request(given: Mapping[str, Any]) -> Component:
+def fitted_request(given: Mapping[str, object]) -> Component:
     """Return the component of requests in the light that the arguments as given ask for."""
     return request_target(*target_form(given))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar, NoReturn
 
 from torch import Tensor
 
@@ -249,10 +249,10 @@ NO_TASKS = (
 class Task:
     """Base class of tasks; deriving from it raises TypeError."""
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         raise TypeError(f"{cls.__qualname__} is a task, which is never run here; {NO_TASKS}")
 
 
-def action(function: Callable[..., Any]) -> Callable[..., Any]:
+def action(function: Callable[..., object]) -> NoReturn:
     """Decorator of commands; raises TypeError."""
     raise TypeError(f"@action {function.__name__} is a command, which is never run here; {NO_TASKS}")

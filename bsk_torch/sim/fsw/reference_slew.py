@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -120,7 +120,7 @@ class Leg(NamedTuple):
         """Time until rest, s."""
         return self.times[0] + self.times[1] + self.times[2]
 
-    def at(self, time: Any) -> tuple[Tensor, Tensor]:
+    def at(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return place and rate at a time, s; before zero the first rate holds."""
         before = torch.clamp(time, max=0.0)
         gains = torch.minimum(torch.clamp(time, min=0.0), self.times[0])
@@ -161,7 +161,7 @@ class Plan(NamedTuple):
         """Time until the reference is the tracking frame, s."""
         return torch.maximum(self.legs[0].duration, self.legs[1].duration)
 
-    def at(self, time: Any) -> tuple[Vec3, Vec3]:
+    def at(self, time: Tensor) -> tuple[Vec3, Vec3]:
         """Return the rotation vector theta, rad, and its rate, rad/s, at a time, s."""
         (x, dx), (y, dy) = (part.at(time) for part in self.legs)
         return self.along * x + self.across * y, self.along * dx + self.across * dy

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -69,11 +68,10 @@ class Arcs(StateTable):
         """Make room for ``count`` satellites in each of ``num_envs`` episodes; planned arcs keep their last ``kept`` hours."""
         super().__init__(num_envs, count, solver.device)
         self.solver, self.kept = solver, kept
-        far: dict[str, Any] = {"low": -FARTHEST, "high": FARTHEST}
-        self.declare("flown", None, LEAD_NODES + spans * NODES_PER_SEGMENT + 1, 3, grows=True, **far)
-        self.declare("planned", None, min(spans, kept) * SAMPLES_PER_SEGMENT + 1, 3, grows=True, **far)
-        self.declare("ephemeris", None, spans + 2, EPHEMERIS_TRACK.width, grows=True, **far)
-        self.declare("tail", None, solver.tail, **far)
+        self.declare("flown", None, LEAD_NODES + spans * NODES_PER_SEGMENT + 1, 3, grows=True, low=-FARTHEST, high=FARTHEST)
+        self.declare("planned", None, min(spans, kept) * SAMPLES_PER_SEGMENT + 1, 3, grows=True, low=-FARTHEST, high=FARTHEST)
+        self.declare("ephemeris", None, spans + 2, EPHEMERIS_TRACK.width, grows=True, low=-FARTHEST, high=FARTHEST)
+        self.declare("tail", None, solver.tail, low=-FARTHEST, high=FARTHEST)
         self.declare("start", low=0.0, high=FARTHEST)
         self.declare("et")
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +11,6 @@ from torch import Tensor
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import field, field_weights, third_body
 from bsk_torch.astro.multistep import position_weights, velocity_weights
-from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.component import Bus, Track, vec
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
@@ -26,7 +24,7 @@ MULTISTEP_ORDER = 12  # accelerations that the multistep method remembers
 START_SWEEPS = 8  # iterations over the first nodes; each wins two digits
 
 
-def weighted(weights: list[Any], vectors: list[Vec3]) -> Vec3:
+def weighted(weights: Sequence[Tensor | float], vectors: list[Vec3]) -> Vec3:
     """Return the weighted sum of vectors, smallest (oldest) terms first."""
     total = vectors[0] * weights[0]
     for w, v in zip(weights[1:], vectors[1:], strict=True):
@@ -34,7 +32,7 @@ def weighted(weights: list[Any], vectors: list[Vec3]) -> Vec3:
     return total
 
 
-def acceleration(ephemeris: Bus, r: Vec3, stretch: Any, degree: int) -> Vec3:
+def acceleration(ephemeris: Bus, r: Vec3, stretch: Tensor, degree: int) -> Vec3:
     """Return the acceleration, m/s^2 in N, at r_BN_N, m, by the Earth's field of a degree and the Sun.
 
     ``a = [PN]^T S f(S [PN] r) + a_S(r, r_SN)`` with the stretch S of :mod:`bsk_torch.sim.orbit.equations`.
@@ -72,7 +70,7 @@ def start_schedule() -> Tensor:
     return torch.tensor(rows, dtype=torch.float64)
 
 
-def visited(r0: Vec3, v0: Vec3, accelerations: list[Vec3], time: Any, weights: list[Any]) -> tuple[Vec3, Vec3]:
+def visited(r0: Vec3, v0: Vec3, accelerations: list[Vec3], time: Tensor, weights: Sequence[Tensor]) -> tuple[Vec3, Vec3]:
     """Return position, m, and velocity, m/s, at a node of the start, ``time`` s from the epoch; see :func:`start_kernel`."""
     count = MULTISTEP_ORDER + 1
     return r0 + v0 * time + weighted(weights[:count], accelerations), v0 + weighted(weights[count:], accelerations)
@@ -138,7 +136,7 @@ def flight_kernel(degree: int) -> Kernel:
 
 
 def flown_step(
-    r: Vec3, v: Vec3, accelerations: list[Vec3], ephemeris: Callable[[], Bus], stretch: Any, degree: int
+    r: Vec3, v: Vec3, accelerations: list[Vec3], ephemeris: Callable[[], Bus], stretch: Tensor, degree: int
 ) -> tuple[Vec3, Vec3, list[Vec3]]:
     """Return position, m, velocity, m/s, and the remembered accelerations after a step; see :func:`flown_kernel`."""
     before, after = list(range(1 - MULTISTEP_ORDER, 1)), list(range(2 - MULTISTEP_ORDER, 2))
@@ -161,9 +159,9 @@ def acceleration_kernel(degree: int) -> Kernel:
     builder = KernelBuilder()
     (time,) = builder.planes("state", 1)
     (stretch,) = builder.planes("shared", 1)
-    a: Any = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch, degree)
+    a = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch, degree)
     tracks = EPHEMERIS_TRACK, NODE
-    return Kernel("accelerations", Loop(builder.program, [time + NODE_SPACING], tracks, list(a), clock=time))
+    return Kernel("accelerations", builder.loop([time + NODE_SPACING], list(a), tracks, time))
 
 
 def _scaled(weights: list[float], factor: float) -> list[float]:

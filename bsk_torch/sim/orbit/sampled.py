@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -87,8 +86,8 @@ class SampledArcs(Arcs):
 
 
 def with_elements(
-    sat_args: Mapping[str, Any] | Sequence[Mapping[str, Any]], count: int
-) -> tuple[list[dict[str, Any]], tuple[ElementSet, ...]]:
+    sat_args: Mapping[str, object] | Sequence[Mapping[str, object]], count: int
+) -> tuple[list[dict[str, object]], tuple[ElementSet, ...]]:
     """Return the arguments of ``count`` satellites that start with SGP4's own velocities, and their element sets.
 
     ValueError unless each satellite has one element set.

@@ -204,8 +204,8 @@ class FixedPlaces(Places):
     def _may_lack(self) -> bool:
         return self._exists is not None
 
+    @override
     def max_speed(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.max_speed`; zero."""
         return torch.zeros(1, 1, dtype=torch.float64, device=rows.device)
 
     def sites(self, rows: Tensor) -> Sites:

@@ -123,7 +123,7 @@ class AboveElevation:
     vertical: Vertical = "radius"
 
     def margin(self, sight: Sight) -> Tensor:
-        """See :func:`bsk_torch.astro.sight.elevation_clearance`."""
+        """Return how far the satellite is above the least elevation, by :func:`~bsk_torch.astro.sight.elevation_clearance`."""
         least = limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)
         if self.vertical == "wgs84":
             return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least, axis_shift(sight.r_LP_P))
@@ -189,7 +189,7 @@ class Lit:
     visible: float = 0.0
 
     def margin(self, sight: Sight) -> Tensor:
-        """See :func:`bsk_torch.astro.eclipse.sunlight_margin`."""
+        """Return how far the place is in the light, by :func:`~bsk_torch.astro.eclipse.sunlight_margin`."""
         return sunlight_margin(sight.r_LP_P, Vec3.of(sight.tables.sun(sight.rows, sight.time)), self.visible)
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:

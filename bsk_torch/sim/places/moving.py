@@ -27,7 +27,6 @@ class GreatCirclePlaces(DrawnPlaces):
         *,
         exists: str | None = None,
         advice: str = Places.advice,
-        names: Sequence[str] = (),
     ) -> None:
         """Describe places by what the scenario draws.
 
@@ -39,9 +38,8 @@ class GreatCirclePlaces(DrawnPlaces):
             clearances: See :class:`~bsk_torch.sim.places.base.DrawnPlaces`, as for the other arguments.
             exists: Likewise.
             advice: Likewise.
-            names: Likewise.
         """
-        super().__init__(tables, clearances, exists=exists, advice=advice, names=names)
+        super().__init__(tables, clearances, exists=exists, advice=advice)
         self._start, self._velocity = start, velocity
 
     @property

@@ -31,9 +31,7 @@ class OrbitingPlaces(DrawnPlaces):
         orbits: str,
         clearances: Sequence[Clearance],
         *,
-        exists: str | None = None,
         advice: str = Places.advice,
-        names: Sequence[str] = (),
     ) -> None:
         """Describe places by what the scenario draws.
 
@@ -41,12 +39,10 @@ class OrbitingPlaces(DrawnPlaces):
             tables: Tables of the simulation.
             orbits: Name of the draw of mean elements at time zero, [num_envs, P, 6]: what
                 :func:`bsk_torch.astro.mean_orbit.mean_elements` returns for positions and velocities.
-            clearances: See :class:`~bsk_torch.sim.places.base.DrawnPlaces`, as for the other arguments.
-            exists: Likewise.
+            clearances: See :class:`~bsk_torch.sim.places.base.DrawnPlaces`.
             advice: Likewise.
-            names: Likewise.
         """
-        super().__init__(tables, clearances, exists=exists, advice=advice, names=names)
+        super().__init__(tables, clearances, advice=advice)
         self._orbits = orbits
 
     @property
@@ -59,8 +55,8 @@ class OrbitingPlaces(DrawnPlaces):
         r_LN_N = mean_position(self.tables.of_rows(self._orbits, rows, place), time)
         return (Mat3.of(self.tables.orientation(rows, time)) @ r_LN_N).stack()
 
-    def max_speed(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.max_speed`: the speed at perigee, and that of the Earth's rotation at apogee."""
+    @override
+    def max_speed(self, rows: Tensor) -> Tensor:  # the speed at perigee, and that of the Earth's rotation at apogee
         oe = self.tables.of_envs(self._orbits, rows)
         a, e = oe[..., 0], oe[..., 1]
         perigee = torch.sqrt(MU_EARTH / a * (1.0 + e) / (1.0 - e))

@@ -10,7 +10,7 @@ import functools
 import logging
 import operator
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 from weakref import WeakSet
 
 import torch
@@ -286,7 +286,7 @@ class Moments(NamedTuple):
 def now_on_tensors(state: SatelliteState, arcs: Arcs, moments: Moments | None = None) -> Now:
     """Return the present of satellites, or what was at some ``moments``, on tensors [N]."""
 
-    def read(name: str) -> Any:
+    def read(name: str) -> object:
         value = state.argument(name)
         if not isinstance(value, Tensor):
             return value
@@ -320,7 +320,7 @@ class ObserverProgram:
         self.arguments: list[str] = []
         widths: dict[str, int] = {}
 
-        def read(name: str) -> Any:
+        def read(name: str) -> object:
             value = state.argument(name)
             if not isinstance(value, Tensor):
                 return value
@@ -328,7 +328,7 @@ class ObserverProgram:
             first = sum(widths.values())
             widths[name] = width
             self.arguments.append(name)
-            planes: list[Any] = [program.input("own", first + k) for k in range(width)]
+            planes = [cast(Tensor, program.input("own", first + k)) for k in range(width)]
             return planes[0] if width == 1 else Vec3(*planes) if width == 3 else tuple(planes)
 
         records = [program.input("track", 1, k) for k in range(EPHEMERIS_TRACK.count * EPHEMERIS_TRACK.width)]
@@ -348,7 +348,7 @@ class ObserverProgram:
         return Loop(self.tracer, [], (EPHEMERIS_TRACK,), self.planes, clock="start")
 
     @property
-    def text(self) -> list[Any]:
+    def text(self) -> list[object]:
         """What is computed, for comparisons."""
         live = [(v.index, v.op, [arg.index for arg in v.args], repr(v.attr), v.dtype) for v in live_values(self.loop)]
         return [self.arguments, live, [plane.index for plane in self.planes]]

@@ -91,7 +91,7 @@ class Tick:
         return Tick(self.components, shared, *options, self.gravity_degree)
 
     @property
-    def functions(self) -> list[Callable[..., Any]]:
+    def functions(self) -> list[Callable[..., object]]:
         """Functions that the tick calls."""
         holders = [held for part in self.components for held in (part.effector, part.allocation) if held is not None]
         updates = [part.update for part in self.components if part.update is not None]
@@ -222,11 +222,11 @@ class Tick:
         """Return the traced tick, or that at time zero; UntraceableError for tensor code that has no kernel."""
         program = Tracer()
 
-        def pack(source: str, layout: Layout) -> list[Any]:
+        def pack(source: str, layout: Layout) -> list[object]:
             dtypes = (torch.float64 if exact else self.dtype for exact in layout.exact)
             return [program.input(source, k, dtype=dtype) for k, dtype in enumerate(dtypes)]
 
-        def records(t: int, track: Track) -> list[Any]:
+        def records(t: int, track: Track) -> list[object]:
             return [program.input("track", t, k) for k in range(track.count * track.width)]
 
         inputs = Inputs(

@@ -38,7 +38,7 @@ class WatchedBus(Bus):
     unread: dict[str, str]
     """Slots of users' components by the messages that they have written and nothing has read."""
 
-    def __getattribute__(self, name: str) -> Any:
+    def __getattribute__(self, name: str) -> object:
         attributes = object.__getattribute__(self, "__dict__")
         if name in attributes.get("unread", ()):
             del attributes["unread"][name]

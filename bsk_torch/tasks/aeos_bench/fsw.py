@@ -6,7 +6,6 @@ Basilisk's locationPointing without damping about the line of sight, never reset
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import ClassVar
 
 from bsk_torch.astro.frames import rotate_z
@@ -49,11 +48,6 @@ def _of_benchmark(law: Component) -> Component:
     )
 
 
-def _fitted_allocation(arguments: Mapping[str, object]) -> Component:
-    wheels = list(TRIAD) if arguments["wheels"] is None else arguments["wheels"]  # as those of the dynamics model
-    return allocation.fitted_allocation({**arguments, "wheels": wheels})
-
-
 class AEOSBenchFSWModel(FSWModel):
     """The flight software of AEOS-Bench: points the sensor at the place in the state ``r_LP_P`` [m, Earth-fixed].
 
@@ -67,7 +61,12 @@ class AEOSBenchFSWModel(FSWModel):
         started(TARGET),
         started(POINTING),
         _of_benchmark(control.MRP_FEEDBACK),
-        dataclasses.replace(allocation.BODY_AXIS_WHEELS, fit=_fitted_allocation),
+        dataclasses.replace(
+            allocation.BODY_AXIS_WHEELS,  # of the wheels of the dynamics model
+            fit=lambda arguments: allocation.fitted_allocation(
+                arguments if arguments["wheels"] is not None else {**arguments, "wheels": list(TRIAD)}
+            ),
+        ),
     )
     requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (AEOSBenchDynModel,)
     modes: ClassVar[dict[str, Mode | None]] = {

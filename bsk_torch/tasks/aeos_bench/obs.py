@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -59,7 +59,9 @@ class TaskProperties(CandidateProperties):
     usual = DEFAULT
     title = "TaskProperties"
 
-    def __init__(self, *properties: dict[str, Any], n_ahead_observe: int = 8, name: str = "tasks", as_set: bool = False) -> None:
+    def __init__(
+        self, *properties: Mapping[str, object], n_ahead_observe: int = 8, name: str = "tasks", as_set: bool = False
+    ) -> None:
         """See :class:`~bsk_torch.obs.candidates.CandidateProperties`; :data:`DEFAULT` where no ``properties`` are given."""
         super().__init__(*properties, n_ahead_observe=n_ahead_observe, name=name, as_set=as_set)
 

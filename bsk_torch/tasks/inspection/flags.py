@@ -19,7 +19,6 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.sight import stretch
-from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Field, Layout, Track
@@ -197,17 +196,16 @@ def flags_kernel(source: str, chief_fields: tuple[Field, ...], inspector_fields:
     numbers = builder.planes(source, COLUMNS * GROUP, first + 3)
     points = [Point.of(numbers[k::GROUP]) for k in range(GROUP)]
     inspected, lit = (tuple(builder.planes("state", GROUP, k * GROUP)) for k in range(2))
-    change: Any = builder.planes("state", 1, 2 * GROUP)[0]
+    (change,) = builder.planes("state", 1, 2 * GROUP)
     chief, inspector = Layout(chief_fields), Layout(inspector_fields)
     records = builder.records(2, 2 * inspector.size)
     now, after = (_fields(inspector, INSPECTOR_FIELDS, records, k * inspector.size) for k in range(2))
-    number: Any = builder.program.input("ticks_now")
+    number = builder.number("ticks_now")
     change = torch.where(number >= last, change, after["storage"] - now["storage"])
     at = _Moment.of(_fields(chief, CHIEF_FIELDS, builder.records(1, chief.size)), now)
     inspected, lit = _look(points, limits, at, change.ne(0.0) & (number >= seen_from), number >= lit_from, inspected, lit)
     tracks = Track("chief", 1.0, chief_fields, count=1), Track("inspector", 1.0, inspector_fields, count=2)
-    outputs: list[Any] = [*inspected, *lit, change]
-    return Kernel("inspection", Loop(builder.program, outputs, tracks))
+    return Kernel("inspection", builder.loop([*inspected, *lit, change], [], tracks))
 
 
 def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
@@ -220,11 +218,9 @@ def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     flags = []
     for group in _filled(columns).split(GROUP, -1):
         packs = torch.cat([_bounds(group), group.movedim(-1, 1).flatten(0, 1)])
-        arguments: dict[str, Any] = {"shared": packs, "own": limits}
-        if source == "own":
-            arguments = {"own": torch.cat([limits, packs])}
+        own, shared = (torch.cat([limits, packs]), None) if source == "own" else (limits, packs)
         state = torch.zeros(2 * GROUP + 1, len(ticks), dtype=torch.float64)
-        kernel(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, **arguments)
+        kernel(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, own=own, shared=shared)
         flags.append(state[:-1].unflatten(0, (2, GROUP)))
     inspected, lit = torch.cat(flags, 1)[:, : columns.shape[-1]].mT.contiguous()
     return inspected, lit
@@ -247,7 +243,7 @@ def _run_tensors(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     def record(trace: Trace, rows: Tensor, names: Sequence[str], j: int) -> dict[str, Any]:
         return _fields(trace.layout, names, trace.table[rows, j].unsqueeze(-1).unbind(1))
 
-    def inspector(j: int) -> dict[str, Any]:
+    def inspector(j: int) -> dict[str, Tensor]:
         return record(records.inspectors, records.inspector_rows, INSPECTOR_FIELDS, j)
 
     now = inspector(0)

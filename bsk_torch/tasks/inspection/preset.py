@@ -275,7 +275,7 @@ def fuel(satellite: sats.BoundSatellite) -> Tensor:
     return satellite.fsw.dv_available
 
 
-def inspector_args() -> dict[str, Any]:
+def inspector_args() -> dict[str, object]:
     """Return the arguments of inspectors except their orbits."""
     return dict(
         imageAttErrorRequirement=1.0,
@@ -304,7 +304,7 @@ def rso_inspection(
     actions: str = "thrust",
     fuel_price: Any = 0.1,
     tumble: float = 0.0,
-    sat_args: dict[str, Any] | None = None,
+    sat_args: dict[str, object] | None = None,
     **options: Any,
 ) -> ConstellationTasking:
     """Return RSOInspection-v1; see the module.

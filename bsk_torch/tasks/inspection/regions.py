@@ -12,7 +12,6 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.sim.component import Field, Track, vec
 from bsk_torch.sim.orbit.builder import KernelBuilder
@@ -80,7 +79,7 @@ def regions_kernel(regions: int) -> Kernel:
     members = [index.eq(float(k)) for k in range(regions)]
     hits = [torch.where(now, before + inspected, before) for now, before in zip(members, hits, strict=True)]
     count = [torch.where(now, before + 1.0, before) for now, before in zip(members, count, strict=True)]
-    return Kernel("regions of points", Loop(builder.program, [*hits, *count], (POINTS, FLAGS)))
+    return Kernel("regions of points", builder.loop([*hits, *count], [], (POINTS, FLAGS)))
 
 
 def _run_kernel(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:

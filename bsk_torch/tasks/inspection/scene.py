@@ -46,7 +46,7 @@ class RSOPoint:
     """
 
     r_PB_B: Any
-    n_B: Any
+    n_B: object
     theta_max: float
     range_max: float
     theta_solar_max: float

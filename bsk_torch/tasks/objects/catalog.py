@@ -247,7 +247,7 @@ class RSOTargetCatalog:
         table = torch.tensor(rows, dtype=torch.float64)
         return table[:, :3], table[:, 3:6], table[:, 6]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the catalog as numbers, strings, lists and dictionaries, in the schema of files, version 1."""
         return {**HEADER, **asdict(self)}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -57,7 +57,7 @@ class RSOTargetProperties(CandidateProperties):
     title = "RSOTargetProperties"
 
     def __init__(
-        self, *properties: dict[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets", as_set: bool = False
+        self, *properties: Mapping[str, object], n_ahead_observe: int = 10, name: str = "rso_targets", as_set: bool = False
     ) -> None:
         """See :class:`~bsk_torch.obs.candidates.CandidateProperties`; :data:`DEFAULT` where no ``properties`` are given."""
         super().__init__(*properties, n_ahead_observe=n_ahead_observe, name=name, as_set=as_set)

@@ -204,7 +204,7 @@ ORDERS: dict[str, Order | None] = {
 """Orders of the candidates by name; None for that of the scenario."""
 
 
-def servicing_args() -> dict[str, Any]:
+def servicing_args() -> dict[str, object]:
     """Return the arguments of the study, with distributions for random ones."""
     return dict(
         oe=rand.random_circular_orbit(i=45.0, alt=500.0),

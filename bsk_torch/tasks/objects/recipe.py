@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-IMAGER: dict[str, dict[str, Any]] = {
+IMAGER: dict[str, dict[str, object]] = {
     "attention": dict(
         num_envs=128,
         rollout=32,
@@ -25,7 +23,7 @@ IMAGER: dict[str, dict[str, Any]] = {
 image is taken, and candidates that promise the most come first. The shield excludes what a policy would have to learn from few
 errors, such as images with a full store. The future of fifty decisions counts."""
 
-TEAM: dict[str, dict[str, Any]] = {
+TEAM: dict[str, dict[str, object]] = {
     "attention": dict(
         num_envs=64,
         rollout=32,

@@ -234,13 +234,13 @@ def team(
     retasking: str,
     n_targets: int,
     delivery_share: float,
-    sat_args: dict[str, Any] | None,
+    sat_args: dict[str, object] | None,
     obs_type: type | None,
     order: str,
     as_set: bool,
     outlook: bool,
     shielded: bool,
-    options: dict[str, Any],
+    options: dict[str, object],
 ) -> ConstellationTasking:
     """Return a team of sensors, with arguments of each orbit."""
     ranks = ORDERS[one_of("order", order, ORDERS)]
@@ -277,7 +277,7 @@ def three_sensors(
     information: str = "independent",
     retasking: str = "conflict",
     delivery_share: float = 0.1,
-    sat_args: dict[str, Any] | None = None,
+    sat_args: dict[str, object] | None = None,
     order: str = "elevation",
     as_set: bool = False,
     outlook: bool = False,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -83,7 +82,7 @@ LOOKS = {
 }
 """Face, edge and name of targets by what became of them."""
 
-BELOW: dict[str, Any] = dict(loc="upper center", handletextpad=0.5, columnspacing=1.4, borderaxespad=0.0)
+BELOW: dict[str, object] = dict(loc="upper center", handletextpad=0.5, columnspacing=1.4, borderaxespad=0.0)
 """Place of the legend of the map."""
 
 DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"))

@@ -63,7 +63,7 @@ class RunData:
     episodes: Sequence[Chosen] = ()
     flights: str = ""
     played: int = 0
-    config: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, object] = field(default_factory=dict)
     facts: Mapping[str, str] = field(default_factory=dict)
     command: str = ""
 

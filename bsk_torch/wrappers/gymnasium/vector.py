@@ -45,7 +45,7 @@ def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
     return AutoresetMode(mode)
 
 
-class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+class GymVectorEnv(gymnasium.vector.VectorEnv[object, object, object]):
     """N episodes in one simulation, as ``gymnasium.vector.VectorEnv``.
 
     Episodes of environment i equal those of ``GymEnv(..., env_ids=[i])``, to rounding. ``info`` has the entries of
@@ -53,7 +53,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     (``_duration``).
     """
 
-    metadata: ClassVar[dict[str, Any]] = RENDERING | {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, object]] = RENDERING | {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -209,7 +209,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _observation(self, results: TensorDictBase) -> object:
         return map_leaves(results["observation"], self._export)
 
-    def _info(self, results: TensorDictBase, rows: Tensor) -> dict[str, Any]:
+    def _info(self, results: TensorDictBase, rows: Tensor) -> dict[str, object]:
         """Return the info of the environments ``rows`` [N] bool, with companions; zero elsewhere."""
         elsewhere = ~rows.unsqueeze(-1)
         duration = results["duration"].masked_fill(elsewhere, 0)

@@ -25,7 +25,7 @@ def unpack_config(env: type) -> type:
     """Return a class derived from ``env`` that takes its arguments as one dictionary, as RLlib gives them."""
 
     class Unpacked(env):
-        def __init__(self, env_config: Mapping[str, Any]) -> None:
+        def __init__(self, env_config: Mapping[str, object]) -> None:
             super().__init__(**env_config)
 
     Unpacked.__name__ = Unpacked.__qualname__ = f"{env.__name__}_Unpacked"
@@ -51,7 +51,7 @@ def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
     return EpisodeDataWrapper(SatelliteTasking(**arguments), **callbacks)
 
 
-def constellation_tasking(env_config: Mapping[str, object]) -> Any:
+def constellation_tasking(env_config: Mapping[str, object]) -> object:
     """Return a ``ConstellationTasking`` with metrics, as RLlib wants it, from its ``env_config``."""
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 

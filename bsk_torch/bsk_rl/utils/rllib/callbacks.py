@@ -48,7 +48,7 @@ class EpisodeDataLogger(metrics.EpisodeDataLogger):
         return self.env.reset(**kwargs)
 
 
-class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any]):
+class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[object, object, object, object]):
     """Metrics of a Gymnasium environment; see :class:`EpisodeDataLogger`."""
 
 

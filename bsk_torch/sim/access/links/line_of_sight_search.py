@@ -17,14 +17,13 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import position, positions
 from bsk_torch.astro.sight import POLAR_STRETCH
-from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, visibility_margin
@@ -73,9 +72,8 @@ def flown_positions(arcs: Arcs, rows: Tensor, time: Tensor, use_kernels: bool) -
 def flown_position_kernel() -> Kernel:
     """Return the kernel of positions on the flown arc; its state is the time and the position."""
     builder = KernelBuilder()
-    time: Any = builder.planes("state", 1)[0]
-    r_BN_N: Any = position(*builder.path(1))
-    return Kernel("flown positions", Loop(builder.program, [time, *r_BN_N], (ARC,), clock=time))
+    (time,) = builder.planes("state", 1)
+    return Kernel("flown positions", builder.loop([time, *position(*builder.path(1))], [], (ARC,), time))
 
 
 def pole_directions(arcs: Arcs, rows: Tensor, time: Tensor, h_ns: int) -> Tensor:

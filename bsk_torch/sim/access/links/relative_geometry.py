@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
-from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.orbit.builder import KernelBuilder
 from bsk_torch.vec3 import Mat3, Vec3
@@ -20,7 +18,7 @@ SATELLITE_PROPERTIES = ("r_BN_P", "v_BN_P", "c_hat_P", "omega_BP_P")
 GEOMETRY_WIDTH = 5  # numbers that relative_geometry returns for each place
 
 
-def relative_geometry(r_BN_P: Vec3, v_BN_P: Vec3, c_hat_P: Vec3, omega_BP_P: Vec3, r_LP_P: Vec3) -> list[Any]:
+def relative_geometry(r_BN_P: Vec3, v_BN_P: Vec3, c_hat_P: Vec3, omega_BP_P: Vec3, r_LP_P: Vec3) -> list[Tensor]:
     """Return position, pointing error and tracking rate of a place L relative to a satellite B, all in Earth-fixed axes.
 
     With the line of sight ``rho = r_LP - r_BN``, m, the velocity v relative to the rotating Earth, m/s, and the body's rate
@@ -49,7 +47,7 @@ def relative_geometry_kernel() -> Kernel:
     """Return the kernel of :func:`relative_geometry` for pairs of satellite and place, 15 numbers each."""
     builder = KernelBuilder()
     r, v, c, omega, site = builder.vectors("own", 5)
-    return Kernel("aim at targets", Loop(builder.program, [], (), relative_geometry(r, v, c, omega, site), clock="start"))
+    return Kernel("aim at targets", builder.loop([], relative_geometry(r, v, c, omega, site), (), "start"))
 
 
 def relative_geometries(satellite: tuple[Tensor, ...], r_LP_P: Tensor, compiled: bool) -> Tensor:

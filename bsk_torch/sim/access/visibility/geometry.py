@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,7 +31,7 @@ class SearchCells(NamedTuple):
     search_end: Tensor  # last sample of the whole search
 
 
-def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) -> tuple[Any, Any, Any]:
+def classify(before: Tensor, here: Tensor, after: Tensor, is_first: Tensor, is_last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Classify three successive clearances, of which the first may be NaN: rise or set of the last two, possible short pass.
 
     A short pass lies between two samples: no sample is above the limit, but the culmination may be: ``f_max`` is above
@@ -53,7 +53,7 @@ def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) ->
     return (here <= 0.0) & (after > 0.0), (here > 0.0) & (after <= 0.0), short_pass
 
 
-def event_code(before: Any, here: Any, after: Any, time: Any, cells: SearchCells) -> Any:
+def event_code(before: Tensor, here: Tensor, after: Tensor, time: Tensor, cells: SearchCells) -> Tensor:
     """Return the event code of three successive clearances, the last at ``time`` s, as a sum of bits in floating point.
 
     Events behind the end of the cell (which the next cell reports) or of the search are left out.

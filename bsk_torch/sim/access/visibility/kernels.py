@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,7 +13,6 @@ from bsk_torch.astro.eclipse import umbra_depth
 from bsk_torch.astro.interpolate import coefficients, position
 from bsk_torch.astro.roots import halved, narrowed, next_guess, placed, refined, sections
 from bsk_torch.astro.sight import elevation_clearance
-from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
 from bsk_torch.sim.access.visibility.interface import Visibility
@@ -97,12 +95,12 @@ def _run_samples(kernel: Kernel, orbits: PlannedOrbits, start: Tensor, count: in
     return written
 
 
-def _sample_kernel(name: str, function: Callable[[Any, Bus], list[Any]]) -> Kernel:
+def _sample_kernel(name: str, function: Callable[[Vec3, Bus], list[Tensor]]) -> Kernel:
     """Return a kernel that writes a function of planned position and ephemeris at each sample; its state is the time."""
     builder = KernelBuilder()
     (time,) = builder.planes("state", 1)
     written = function(Vec3(*builder.records(2, 3)), builder.ephemeris())
-    return Kernel(name, Loop(builder.program, [time + PLAN_STEP], (EPHEMERIS_TRACK, FINE), written, clock=time))
+    return Kernel(name, builder.loop([time + PLAN_STEP], written, (EPHEMERIS_TRACK, FINE), time))
 
 
 @cache
@@ -117,7 +115,7 @@ def ground_track_kernel() -> Kernel:
     return _sample_kernel("ground track", lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
 
 
-def _time_and_clearance(builder: KernelBuilder, track: Track, geodetic: bool) -> tuple[Any, Any]:
+def _time_and_clearance(builder: KernelBuilder, track: Track, geodetic: bool) -> tuple[Tensor, Tensor]:
     """Return the time of the tick and the clearance then.
 
     The place's position, the sine of the limit and, if ``geodetic``, the shift of the place are the ``own`` planes.
@@ -131,9 +129,9 @@ def _time_and_clearance(builder: KernelBuilder, track: Track, geodetic: bool) ->
     return time, elevation_clearance(r_BP_P, Vec3(*site), sin_min_elevation, shift)
 
 
-def _pair_kernel(name: str, builder: KernelBuilder, track: Track, outputs: list[Any], written: list[Any]) -> Kernel:
+def _pair_kernel(name: str, builder: KernelBuilder, track: Track, outputs: Sequence[Tensor], written: Sequence[Tensor]) -> Kernel:
     (time,) = builder.planes("state", 1)
-    return Kernel(name, Loop(builder.program, outputs, (track,), written, clock=time))
+    return Kernel(name, builder.loop(outputs, written, (track,), time))
 
 
 @cache
@@ -161,7 +159,7 @@ def crossing_kernel(geodetic: bool) -> Kernel:
     time, clearance = _time_and_clearance(builder, GROUND_TRACK, geodetic)
     a, b, clearance_a, clearance_b = builder.planes("state", 4, first=1)
     bracket = a, b, clearance_a, clearance_b, time, clearance
-    number: Any = builder.program.input("ticks_now")
+    number = builder.number("ticks_now")
     both = zip(halved(*bracket), refined(*bracket), strict=True)
     a, b, clearance_a, clearance_b = (torch.where(number <= float(BISECTIONS), x, y) for x, y in both)
     guess = torch.where(number < float(BISECTIONS), 0.5 * (a + b), next_guess(a, b, clearance_a, clearance_b))

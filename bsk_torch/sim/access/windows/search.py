@@ -265,10 +265,12 @@ class AccessWindows(StateTable):
         else:
             parts = [ahead] if bool(ahead.any()) else []
         for some in parts:
-            count = int(samples[some].max())
+            count, part = int(samples[some].max()), rows[some]
             # all tracks are as long, and none reaches beyond its arc
-            start = torch.minimum(first[some], self.arcs.end[rows[some]] - PLAN_STEP * (count - 1))
-            self._insert(kind, rows[some], place[some], GroundTrack(self._flown_track(rows[some], start, count), start))
+            start = torch.minimum(first[some], self.arcs.end[part] - PLAN_STEP * (count - 1))
+            flown = Samples(halved(self.arcs.flown[part]), self.arcs.start[part] - 0.5 * PLAN_STEP)
+            orbits = PlannedOrbits(flown, take_rows(self.arcs.ephemeris_samples, part))
+            self._insert(kind, part, place[some], GroundTrack(self.visibility.ground_track(orbits, start, count), start))
 
     def _insert(self, kind: str, rows: Tensor, place: Tensor, track: GroundTrack) -> None:
         places, end = self.kinds[kind], self.ready[rows]
@@ -278,11 +280,6 @@ class AccessWindows(StateTable):
         new = true_windows(track, found, GenerationIntervals(track.start, end, end, self.segment))
         found = Passes(*(torch.cat(parts) for parts in zip(self._passes_of(kind, rows), new, strict=True)))
         self._store_windows(kind, rows, found, self.until[rows])
-
-    def _flown_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
-        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the flown arcs."""
-        samples = Samples(halved(self.arcs.flown[rows]), self.arcs.start[rows] - 0.5 * PLAN_STEP)
-        return self.visibility.ground_track(PlannedOrbits(samples, take_rows(self.arcs.ephemeris_samples, rows)), start, count)
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals, until: Tensor) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only.

@@ -195,11 +195,6 @@ def _fired(pulses: Sequence[Tensor], vectors: Sequence[Vec3]) -> Vec3:
     return functools.reduce(operator.add, (vector * on for on, vector in zip(pulses, vectors, strict=True)))
 
 
-def _thrust_of_set(bus: Bus, stage: int) -> tuple[Vec3, Vec3] | None:
-    """Return the force of the thrusters that fire, N in B, and its torque about B, N m, in the first stage."""
-    return (_fired(bus.pulse, bus.thruster_forces_B), _fired(bus.pulse, bus.thruster_torques_B)) if stage == 0 else None
-
-
 @functools.cache
 def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
     """Return the component of thrusters of a form; ``listed`` are the defaults of its arguments."""
@@ -218,11 +213,14 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
         parameters = {"thruster_torques_B": torques.flatten(-2)}
         return parameters | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
 
+    def torque(bus: Bus) -> Vec3:
+        return _fired(bus.pulse, bus.thruster_torques_B)
+
     vectors = ("thruster_torques_B", *(("thruster_forces_B",) if form.pushes else ()))
     fires = (
-        Effector(thrust=_thrust_of_set)
+        Effector(thrust=lambda bus, stage: (_fired(bus.pulse, bus.thruster_forces_B), torque(bus)) if stage == 0 else None)
         if form.pushes
-        else Effector(torque=lambda bus, stage: _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None)
+        else Effector(torque=lambda bus, stage: torque(bus) if stage == 0 else None)
     )
     return replace(
         thrusters(form.size, fires),

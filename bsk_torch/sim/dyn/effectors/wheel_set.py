@@ -1,4 +1,4 @@
-"""Any number of reaction wheels about any axes, with friction: Basilisk's reactionWheelStateEffector, balanced wheels.
+"""Reaction wheels in any number, about any axes, with friction: Basilisk's reactionWheelStateEffector, balanced wheels.
 
 The three wheels of :mod:`bsk_torch.sim.dyn.effectors.wheels` are the special case that is compiled to fewer operations. What
 wheels have, friction for example, is fixed when the tick is built, by :class:`WheelForm`; their numbers are parameters.
@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -93,7 +93,7 @@ def described_wheels(arguments: UserArguments) -> tuple[Wheel, ...] | None:
     return wheels
 
 
-def wheel_defaults(wheels: Sequence[Wheel]) -> dict[str, tuple[Any, ...]]:
+def wheel_defaults(wheels: Sequence[Wheel]) -> dict[str, tuple[object, ...]]:
     """Return the numbers of wheels by argument, one entry for each wheel."""
     each = [wheel.arguments for wheel in wheels]
     return {name: tuple(numbers[name] for numbers in each) for name in (each[0] if each else ())}

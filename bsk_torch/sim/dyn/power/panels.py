@@ -9,7 +9,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -120,7 +120,7 @@ def described_panels(arguments: UserArguments) -> tuple[Panel, ...] | None:
 def of_panels(arg: Arg, listed: Sequence[Panel]) -> Arg:
     """Return an argument of which there is one for each panel."""
     turns = all(part.axis is not None for part in listed)
-    defaults: dict[str, tuple[Any, ...]] = {
+    defaults: dict[str, tuple[object, ...]] = {
         "panelArea": tuple(float(part.area) for part in listed),
         "panelEfficiency": tuple(float(part.efficiency) for part in listed),
         "panelNormals_B": tuple(part.normal for part in listed),
