@@ -37,7 +37,7 @@ OBSERVED = ("observation", "obs")
 
 
 class UntrustedError(ValueError):
-    """Reading a file would execute code in it, which nobody has allowed."""
+    """Reading a file would execute code in it, and the caller has not allowed that."""
 
 
 # -- files -----------------------------------------------------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def function_named(name: str, trust: bool = False) -> Any:
     if module.endswith(".py") and Path(module).is_file() and not trust:
         raise UntrustedError(
             f"{name!r} executes all of the file {module!r}; if you trust it, add --trust, or trust=True in Python; "
-            f"or name a module of your own, {Path(module).stem}:{function}"
+            f"or name your own module, {Path(module).stem}:{function}"
         )
     try:
         loaded = _module(module)
@@ -244,7 +244,7 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
     Raises:
         FileNotFoundError: If there is no such file, and the name is none of the above.
         ImportError: If a package is missing, or the module cannot be imported.
-        UntrustedError: Unless ``trust``, for a file with code; the message says what would run.
+        UntrustedError: Unless ``trust``, for a file with code; the message names what would run.
         ValueError: For a damaged file, or a policy with other observations or actions.
     """
     where, name = "this environment", str(source)
