@@ -126,7 +126,7 @@ def test_normalized_observations_and_unusual_networks_are_unpickled_with_trust_o
     normalizer = VecNormalize(inner)
     normalizer.obs_rms.mean += 2.0
     normalizer.save(str(tmp_path / "vecnormalize.pkl"))
-    with pytest.raises(UntrustedError, match=r"vecnormalize.pkl' beside it is a pickle"):
+    with pytest.raises(UntrustedError, match=r"vecnormalize.pkl' next to it is a pickle"):
         bsk_torch.load_policy(plain, env)
     seen = normalizer.normalize_obs(td["observation"].numpy())
     assert chosen(plain, env, trust=True) == PPO.load(plain).predict(seen, deterministic=True)[0].tolist()

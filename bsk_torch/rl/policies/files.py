@@ -121,8 +121,8 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     card = load_checksummed(path, "policy", device)
     if not _is_card(card):
         raise ValueError(
-            f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again. For weights of your own "
-            "network, name it: module:function"
+            f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again. For weights of another "
+            "network, name a function that returns it: module:function"
         )
     for name in LOGS:
         if name in card["options"]:

@@ -28,7 +28,7 @@ OBSERVATION, MASK = "observation", "action_mask"
 """Names of the observation vector and of the mask."""
 
 CONTRACT = "bsk_torch.contract"
-"""Entry of a file with its contract, which may also be beside it, as ``FILE.json``."""
+"""Entry of a file with its contract, which may also be next to it, as ``FILE.json``."""
 
 TRIED = 3
 """Rows of the trial of a policy: a size of batch that no exporter assumes."""
@@ -185,12 +185,12 @@ def lengths(view: SatelliteTasking) -> dict[str, int]:
 
 
 def contract_of(path: Path, content: str | bytes | None) -> Contract | None:
-    """Return the contract in a file, or beside it as ``FILE.json``; None if there is none. ValueError for anything else."""
-    beside = path.with_name(f"{path.name}.json")
+    """Return the contract in a file, or next to it as ``FILE.json``; None if there is none. ValueError for anything else."""
+    separate = path.with_name(f"{path.name}.json")
     if content is None:
-        if not beside.is_file():
+        if not separate.is_file():
             return None
-        content = read_bytes(beside, MOST_JSON)
+        content = read_bytes(separate, MOST_JSON)
     text = content.encode() if isinstance(content, str) else content
     try:
         whole = parse_json(text, dict[str, Any])

@@ -32,7 +32,7 @@ OBSERVED = ("observation", "obs")
 
 
 class UntrustedError(ValueError):
-    """Reading a file would execute code in it, which nobody has allowed."""
+    """Reading a file would execute code in it, and the caller has not allowed that."""
 
 
 # -- files -----------------------------------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
     Raises:
         FileNotFoundError: If there is no such file, and the name is none of the above.
         ModuleNotFoundError: If a package is missing that reads the file.
-        UntrustedError: Unless ``trust``, for a file with code; the message says what would run.
+        UntrustedError: Unless ``trust``, for a file with code; the message names what would run.
         ValueError: For a module that cannot be imported, a damaged file, or a policy with other observations or actions.
     """
     where, name = "this environment", str(source)

@@ -124,7 +124,7 @@ EMPTY: dict[str, object] = {"metadata": {}, "guards_code": []}
 """Entries that torch shows, or runs as checks, and the program does not need."""
 
 REFUSED = ("as_graph", "as_operator", "as_custom_obj")
-"""Kinds of arguments that are no data."""
+"""Kinds of arguments other than data."""
 
 PARTS = re.compile(
     r"models/model\.json|data/(weights|constants)/(model_\w+_config\.json|(weight|tensor)_\d+)|data/sample_inputs/model\.pt"
@@ -239,7 +239,7 @@ def pickled_names(path: Path) -> list[str]:
         with zipfile.ZipFile(path) as archive:
             name = next(name for name in archive.namelist() if name.endswith("data.pkl"))
             return [name for name in names_in(archive.read(name)) if not _is_plain(name)]
-    except Exception:  # no archive of torch.save; its reader says so
+    except Exception:  # no archive of torch.save
         return []
 
 

@@ -1,7 +1,7 @@
 """Models of Stable-Baselines3 and sb3-contrib, saved as zip files.
 
 A zip file has the weights as tensors, and settings as JSON with pickled parts. The networks of ``MlpPolicy`` and
-``MultiInputPolicy`` are built again from the weights and the texts beside the pickles, which needs no Stable-Baselines3 and
+``MultiInputPolicy`` are built again from the weights and the texts next to the pickles, which needs no Stable-Baselines3 and
 executes nothing. All others are loaded by the library, which unpickles.
 """
 
@@ -74,7 +74,7 @@ ACTIVATIONS = ("Tanh", "ReLU", "ELU", "SiLU", "Sigmoid", "Softplus", "Softsign",
 """Classes of torch with usual arguments."""
 
 NORMALIZERS = ("vecnormalize.pkl", "vec_normalize.pkl", "normalize.pkl")
-"""Files of ``VecNormalize`` beside a model, which its zip file does not mention."""
+"""Files of ``VecNormalize`` next to a model, which its zip file does not mention."""
 
 SPACE = re.compile(r"'([^']+)': Box\([^()]*\(([\d, ]*)\), float32\)")
 """A part of a named observation, with its shape."""
@@ -121,13 +121,13 @@ def _archive(path: Path) -> Archive:
 def pickled_parts(path: Path) -> str:
     """Return what must be unpickled to use a model, and why; empty if its network is known without."""
     if normalizer := _normalizer(path):
-        return f"{str(normalizer)!r} beside it is a pickle, with which its observations are normalized"
+        return f"{str(normalizer)!r} next to it is a pickle, with which its observations are normalized"
     fault = _fault(_archive(path))
     return f"Stable-Baselines3 unpickles its settings ({fault})" if fault else ""
 
 
 def _normalizer(path: Path) -> Path | None:
-    """Return the statistics of ``VecNormalize`` beside a model, also those of a checkpoint of the same step."""
+    """Return the statistics of ``VecNormalize`` next to a model, also those of a checkpoint of the same step."""
     step = re.sub(r"_(\d+_steps)$", r"_vecnormalize_\1", path.stem)
     names = (*NORMALIZERS, *([f"{step}.pkl"] if step != path.stem else []))
     return next((path.with_name(name) for name in names if path.with_name(name).is_file()), None)
@@ -199,7 +199,7 @@ def _inputs(archive: Archive) -> dict[str, int | None]:
 
 
 def read_sb3(path: Path) -> Loaded:
-    """Read a model; ValueError for a damaged one. It is unpickled only where :func:`pickled_parts` says so."""
+    """Read a model; ValueError for a damaged one. It is unpickled only where :func:`pickled_parts` returns a reason."""
     archive, normalizer = _archive(path), _normalizer(path)
     library = f"stable-baselines3 {archive.version}".strip()
     if normalizer is None and not _fault(archive):
