@@ -24,6 +24,8 @@ from bsk_torch.rl.rules.baselines import THRESHOLDS, ScanRule
 from bsk_torch.sim.names import nearest
 from bsk_torch.wrappers.policies import FunctionPolicy, positional
 
+__all__ = ["Tuned", "tune"]
+
 Range = tuple[float, float] | Sequence[float]
 """A tuple of minimum and maximum, or a list of the values to try."""
 

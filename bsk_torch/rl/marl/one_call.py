@@ -20,6 +20,8 @@ from bsk_torch.rl.networks.plans import observed_sets
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import PPOConfig
 
+__all__ = ["Trained", "train"]
+
 
 @dataclass(frozen=True)
 class Trained:

@@ -18,6 +18,8 @@ from bsk_torch.rl.policies.shared_policy import member_view
 from bsk_torch.rl.rules.targets import WIDTHS
 from bsk_torch.sim.names import nearest
 
+__all__ = ["ObservationReader", "reader"]
+
 NORMD = "_normd"
 """End of the names of properties that a norm divides."""
 
