@@ -25,7 +25,9 @@ pytestmark = pytest.mark.compiled
 @pytest.mark.parametrize("kind", KINDS)
 def test_graphs_decide_as_the_package_does_bit_for_bit(exported, kind):
     policy = exported(kind)
-    for group, graph in policy.graphs().items():
+    graphs = policy.graphs()
+    assert set(graphs) == set(KINDS[kind][2])
+    for group, graph in graphs.items():
         inputs = situations(graph, policy.contracts[group])
         package = decide(policy.policies()[group], TensorDict(dict(zip(graph.paths, inputs, strict=True)), [200]))
         with torch.no_grad():
@@ -39,7 +41,9 @@ def test_files_of_onnx_and_torch_decide_alike_and_hold_the_contract(exported, ki
     onnx, onnxruntime = (pytest.importorskip(name) for name in ("onnx", "onnxruntime"))
     policy = exported(kind)
     contracts = export_policy(policy.file, tmp_path, ["onnx", "torch"])
-    for group, graph in policy.graphs().items():
+    graphs = policy.graphs()
+    assert set(graphs) == set(KINDS[kind][2])
+    for group, graph in graphs.items():
         folder = tmp_path / ("" if len(contracts) == 1 else group)
         content, contract = (folder / "policy.onnx").read_bytes(), contracts[group]
         assert {node.domain for node in onnx.load_from_string(content).graph.node} <= {"", "ai.onnx"}
