@@ -1,6 +1,7 @@
 """Exported files, their contract, and the command."""
 
 import json
+import math
 import sys
 
 import pytest
@@ -12,9 +13,10 @@ import bsk_torch
 from bsk_torch.cli import app
 from bsk_torch.env.rollout import decide
 from bsk_torch.lab.export import export_policy
-from bsk_torch.lab.export.contract import KEY, weights_hash
+from bsk_torch.lab.export.contract import KEY, UNIT, described, weights_hash
 from bsk_torch.rl.networks.plans import GRUPlan
 from bsk_torch.rl.policies.files import build_policy, read_card, save_policy
+from bsk_torch.rl.policies.shared_policy import member_views
 from bsk_torch.rl.rules.shield import RULES, shielded
 from tests.lab.export.conftest import KINDS, compiled, situations
 from tests.support.refusals import check_refusals, refusal
@@ -84,6 +86,27 @@ def test_the_contract_tells_what_each_number_is(exported):
     assert "shield of the environment" in contract["not_included"][0]
     assert contract["decisions"]["recorded_seconds"][0] > 0.0
     assert contract["environment"]["options"] == KINDS["attention"][1]
+
+
+@pytest.mark.parametrize(
+    ("preset", "name", "unit", "divisor"),
+    [
+        ("Services-v1", "rso_targets.rows.target_elevation_angle", "degrees", 90.0),
+        ("Services-v1", "rso_targets.rows.rel_vel_vector_v_BR_H", "m/s", 16000.0),
+        ("Services-v1", "eclipse", None, 5700.0),
+        ("RSOInspection-v1", "rel_props.r_DC_Hc_normd", "m", 500.0),
+        ("RSOInspection-v1", "rel_props.h_Hs_normd", "m^2/s", 5e10),
+        ("RSOInspection-v1", "sat_props.dv_available_normd", "m/s", 10.0),
+        ("NadirScan-v1", "sat_props.solar_pointing_error_normd", "rad", math.pi),
+        ("NadirScan-v1", "ground_station.ground_station_0.opportunity_open_normd", "s", 5700.0),
+    ],
+)
+def test_units_come_from_the_documentation_of_observations(preset, name, unit, divisor):
+    env = bsk_torch.make(preset, num_envs=1)
+    view = next(view for view in member_views(env).values() if len(view.satellite.observation_description) > 1)
+    meaning, divided = described(view.satellite, name)
+    assert divided == divisor
+    assert (UNIT.search(meaning) or [None, None])[1] == unit
 
 
 def test_the_hash_is_of_the_weights(exported):
