@@ -14,6 +14,7 @@ from bsk_torch.cli import app
 from bsk_torch.env.rollout import decide
 from bsk_torch.lab.export import export_policy
 from bsk_torch.lab.export.contract import KEY, UNIT, described, weights_hash
+from bsk_torch.lab.export.shield import conditions
 from bsk_torch.rl.networks.plans import GRUPlan
 from bsk_torch.rl.policies.files import build_policy, read_card, save_policy
 from bsk_torch.rl.policies.shared_policy import member_views
@@ -141,6 +142,8 @@ def test_a_shield_is_part_of_the_graph_and_of_the_c_code(exported, name, tmp_pat
     env = bsk_torch.make(policy.preset, num_envs=1, **policy.options)
     rule = shielded(build_policy(read_card(policy.file)), RULES[name], env)
     package = decide(rule, TensorDict(dict(zip(graph.paths, inputs, strict=True)), [200]))
+    graph.only = conditions(RULES[name], name, contract["observation"], env.satellite.action_description)
+    assert torch.equal(graph(*inputs)[0], package["action"])
     chosen, _ = act(torch.cat([part.reshape(200, -1) for part in inputs[:-1]], 1), inputs[-1], inputs[-1].shape[1])
     apart = package["logits"].gather(1, chosen[:, None]) - package["logits"].gather(1, package["action"][:, None])
     assert float(apart.abs().max()) < 1e-4
