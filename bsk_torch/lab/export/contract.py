@@ -7,6 +7,7 @@ import hashlib
 import inspect
 import math
 import re
+import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
@@ -204,7 +205,8 @@ def described(view: SatelliteGroup, name: str) -> tuple[str, float | list[float]
         fields = entry if isinstance(entry, dict) else entry._asdict()
         if fields["name"] == leaf:
             divisor = fields["norm"].tolist() if isinstance(fields["norm"], Tensor) else float(fields["norm"])
-            return document(view, fields) or f"{fields['prop']}: {first_line(type(source).__doc__)}", divisor
+            text = document(view, fields) or field_line(source, fields["prop"])
+            return text or f"{fields['prop']}: {first_line(type(source).__doc__)}", divisor
     norm = getattr(source, "norm", None)
     return first_line(type(source).__doc__), norm if isinstance(norm, float) else None
 
@@ -222,6 +224,14 @@ def document(view: SatelliteGroup, fields: Mapping[str, Any]) -> str:
     owners = (type(view.dynamics), type(view.fsw))
     holder = next((getattr(owner, prop) for owner in owners if hasattr(owner, prop)), FUNCTIONS.get(prop) or PRESETS.get(prop))
     return first_line(holder.__doc__ if holder is not None else None)
+
+
+def field_line(source: Observation, prop: str) -> str:
+    """Return what a named tuple in the module of an observation says about its field ``prop``; empty if there is none."""
+    for value in vars(sys.modules[type(source).__module__]).values():
+        if prop in getattr(value, "_fields", ()) and (line := re.search(rf"^ +{prop}: (.+)$", value.__doc__ or "", re.MULTILINE)):
+            return line[1]
+    return ""
 
 
 def first_line(text: str | None) -> str:

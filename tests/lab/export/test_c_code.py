@@ -18,7 +18,9 @@ TIE = 1e-4
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_repeats_the_record_and_decides_alike_in_any_situation(exported, kind):
     policy = exported(kind)
-    for group, graph in policy.graphs().items():
+    graphs = policy.graphs()
+    assert set(graphs) == set(KINDS[kind][2])
+    for group, graph in graphs.items():
         contract = policy.contracts[group]
         act, replay = compiled(policy.folders[group])
         n = len(contract["record"]["outputs"]["action"])
@@ -62,13 +64,13 @@ def test_constants_are_read_as_the_same_float32():
 
 
 def test_weights_and_code_are_small_and_allocate_nothing(exported):
-    for kind in KINDS:
-        for folder in exported(kind).folders.values():
-            source = (folder / "policy.c").read_text()
-            assert "alloc" not in source
-            assert [line for line in source.splitlines() if line.startswith("#include")] == [
-                '#include "policy.h"',
-                "#include <float.h>",
-                "#include <math.h>",
-                "#include <stddef.h>",
-            ]
+    sources = [(folder / "policy.c").read_text() for kind in KINDS for folder in exported(kind).folders.values()]
+    assert len(sources) == 5
+    for source in sources:
+        assert "alloc" not in source
+        assert [line for line in source.splitlines() if line.startswith("#include")] == [
+            '#include "policy.h"',
+            "#include <float.h>",
+            "#include <math.h>",
+            "#include <stddef.h>",
+        ]

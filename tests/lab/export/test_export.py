@@ -1,6 +1,7 @@
 """Exported files, their contract, and the command."""
 
 import json
+import math
 import sys
 
 import pytest
@@ -12,9 +13,11 @@ import bsk_torch
 from bsk_torch.cli import app
 from bsk_torch.env.rollout import decide
 from bsk_torch.lab.export import export_policy
-from bsk_torch.lab.export.contract import KEY, weights_hash
+from bsk_torch.lab.export.contract import KEY, UNIT, described, weights_hash
+from bsk_torch.lab.export.shield import conditions
 from bsk_torch.rl.networks.plans import GRUPlan
 from bsk_torch.rl.policies.files import build_policy, read_card, save_policy
+from bsk_torch.rl.policies.shared_policy import member_views
 from bsk_torch.rl.rules.shield import RULES, shielded
 from tests.lab.export.conftest import KINDS, compiled, situations
 from tests.support.refusals import check_refusals, refusal
@@ -25,7 +28,9 @@ pytestmark = pytest.mark.compiled
 @pytest.mark.parametrize("kind", KINDS)
 def test_graphs_decide_as_the_package_does_bit_for_bit(exported, kind):
     policy = exported(kind)
-    for group, graph in policy.graphs().items():
+    graphs = policy.graphs()
+    assert set(graphs) == set(KINDS[kind][2])
+    for group, graph in graphs.items():
         inputs = situations(graph, policy.contracts[group])
         package = decide(policy.policies()[group], TensorDict(dict(zip(graph.paths, inputs, strict=True)), [200]))
         with torch.no_grad():
@@ -39,7 +44,9 @@ def test_files_of_onnx_and_torch_decide_alike_and_hold_the_contract(exported, ki
     onnx, onnxruntime = (pytest.importorskip(name) for name in ("onnx", "onnxruntime"))
     policy = exported(kind)
     contracts = export_policy(policy.file, tmp_path, ["onnx", "torch"])
-    for group, graph in policy.graphs().items():
+    graphs = policy.graphs()
+    assert set(graphs) == set(KINDS[kind][2])
+    for group, graph in graphs.items():
         folder = tmp_path / ("" if len(contracts) == 1 else group)
         content, contract = (folder / "policy.onnx").read_bytes(), contracts[group]
         assert {node.domain for node in onnx.load_from_string(content).graph.node} <= {"", "ai.onnx"}
@@ -82,6 +89,27 @@ def test_the_contract_tells_what_each_number_is(exported):
     assert contract["environment"]["options"] == KINDS["attention"][1]
 
 
+@pytest.mark.parametrize(
+    ("preset", "name", "unit", "divisor"),
+    [
+        ("Services-v1", "rso_targets.rows.target_elevation_angle", "degrees", 90.0),
+        ("Services-v1", "rso_targets.rows.rel_vel_vector_v_BR_H", "m/s", 16000.0),
+        ("Services-v1", "eclipse", None, 5700.0),
+        ("RSOInspection-v1", "rel_props.r_DC_Hc_normd", "m", 500.0),
+        ("RSOInspection-v1", "rel_props.h_Hs_normd", "m^2/s", 5e10),
+        ("RSOInspection-v1", "sat_props.dv_available_normd", "m/s", 10.0),
+        ("NadirScan-v1", "sat_props.solar_pointing_error_normd", "rad", math.pi),
+        ("NadirScan-v1", "ground_station.ground_station_0.opportunity_open_normd", "s", 5700.0),
+    ],
+)
+def test_units_come_from_the_documentation_of_observations(preset, name, unit, divisor):
+    env = bsk_torch.make(preset, num_envs=1)
+    view = next(view for view in member_views(env).values() if len(view.satellite.observation_description) > 1)
+    meaning, divided = described(view.satellite, name)
+    assert divided == divisor
+    assert (UNIT.search(meaning) or [None, None])[1] == unit
+
+
 def test_the_hash_is_of_the_weights(exported):
     policy = exported("mlp")
     card = read_card(policy.file)
@@ -114,6 +142,8 @@ def test_a_shield_is_part_of_the_graph_and_of_the_c_code(exported, name, tmp_pat
     env = bsk_torch.make(policy.preset, num_envs=1, **policy.options)
     rule = shielded(build_policy(read_card(policy.file)), RULES[name], env)
     package = decide(rule, TensorDict(dict(zip(graph.paths, inputs, strict=True)), [200]))
+    graph.only = conditions(RULES[name], name, contract["observation"], env.satellite.action_description)
+    assert torch.equal(graph(*inputs)[0], package["action"])
     chosen, _ = act(torch.cat([part.reshape(200, -1) for part in inputs[:-1]], 1), inputs[-1], inputs[-1].shape[1])
     apart = package["logits"].gather(1, chosen[:, None]) - package["logits"].gather(1, package["action"][:, None])
     assert float(apart.abs().max()) < 1e-4
