@@ -1,7 +1,7 @@
 """What rules and a policy deliver in a case of aeossp_standard that they choose the tasks of, as an environment.
 
 Usage:
-    python benchmarks/aeossp_policy.py [--folder cases] [--case test/case_0001] [--learn test/case_0002] [--frames 120000]
+    python benchmarks/aeossp_policy.py [--folder cases] [--case test/case_0001] [--learn test/case_0002] [--frames 60000]
         [--num-envs 32] [--seed 0] [--run FOLDER] [--out FILE.json]
 
 ``--folder`` holds cases. The policy learns in episodes drawn in the manner of another case, ``--learn``; ``--run`` is the folder
@@ -30,7 +30,7 @@ from bsk_torch.tasks.aeossp import case_env, drawn_case_env
 DRAWN = "AEOSSP-drawn"
 """Name of the environment to learn in."""
 
-RULES = ("greedy", "nearest", "hasty", "farsighted")
+RULES = ("nearest", "hasty", "farsighted")
 
 COLUMNS = {
     "case": "{case}",
@@ -86,7 +86,7 @@ def main() -> None:
         folder="cases",
         case="test/case_0001",
         learn="test/case_0002",
-        frames=120_000,
+        frames=60_000,
         num_envs=32,
         seed=0,
         run="",

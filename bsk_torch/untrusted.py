@@ -181,8 +181,8 @@ def parse_yaml(content: bytes, schema: type[Schema]) -> Schema:
 def read_yaml(content: bytes, *, typed: bool = True, most: int = MOST_YAML) -> Node:
     """Return the content of a file in YAML.
 
-    Keys are text and occur once. Times without quotes are text, and all values but None are if they are not ``typed``. ValueError,
-    with the line, for other content, and for anchors, aliases, tags, and more than ``most`` values or :data:`DEEPEST_YAML` levels.
+    Keys are text and occur once. Times without quotes are text; all values but None are, unless they are ``typed``. ValueError, with
+    the line, for other content, for anchors, aliases and tags, and more than ``most`` values or :data:`DEEPEST_YAML` levels.
     """
     import yaml
 
@@ -230,12 +230,16 @@ class _YamlReader:
         if isinstance(event, yaml.SequenceStartEvent):
             parts = iter(lambda: next(self.events), None)
             ends = yaml.SequenceEndEvent
-            return Node(line, [self.node(part, level + 1) for part in itertools.takewhile(lambda e: not isinstance(e, ends), parts)])
+            return Node(
+                line, [self.node(part, level + 1) for part in itertools.takewhile(lambda e: not isinstance(e, ends), parts)]
+            )
         values: dict[str, Node] = {}
         while not isinstance(key := next(self.events), yaml.MappingEndEvent):
             name = self.node(key, level + 1)
             if not isinstance(key, yaml.ScalarEvent) or key.value in values:
-                raise ValueError(f"line {name.line}: the key {_short(getattr(key, 'value', name.value))} is no text, or there twice")
+                raise ValueError(
+                    f"line {name.line}: the key {_short(getattr(key, 'value', name.value))} is no text, or there twice"
+                )
             values[key.value] = self.node(next(self.events), level + 1)
         return Node(line, values)
 

@@ -5,6 +5,7 @@ Source: "Orbit Data Messages", CCSDS 502.0-B-3, sections 3 and 5.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime, timezone
@@ -23,6 +24,9 @@ from bsk_torch.formats.source import Source, read_source
 from bsk_torch.sim.names import nearest
 
 __all__ = ["read_ccsds", "write_oem"]
+
+NEAREST, FARTHEST, FASTEST = 6300.0, 1e6, 20.0
+"""Least and largest distance of a state from the Earth's center, km, and its largest speed, km/s."""
 
 MOST_STATES = 1_000_000
 """Most states in a file: a month at 3 s."""
@@ -90,6 +94,17 @@ def _numbers(text: Source, line: _Line, words: Sequence[str]) -> list[float]:
     return [float(word) for word in words]
 
 
+def _check_state(text: Source, line: int, state: Sequence[float]) -> None:
+    """Raise ValueError for a state that is not near the Earth in km and km/s."""
+    distance, speed = math.hypot(*state[:3]), math.hypot(*state[3:])
+    if not (NEAREST <= distance <= FARTHEST and speed <= FASTEST):
+        text.fail(
+            line,
+            f"the state is {distance:g} km from the Earth's center, with {speed:g} km/s; it must be from {NEAREST:g} to "
+            f"{FARTHEST:g} km, with at most {FASTEST:g} km/s. The units are km and km/s",
+        )
+
+
 def _to_N(frame: str, times: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Return states in N, m and m/s, of states in km and km/s along a frame's axes at ET [K], s."""
     axes = FRAMES[frame](torch.from_numpy(times)).mT.numpy()
@@ -152,6 +167,7 @@ def _opm(text: Source, lines: Sequence[_Line]) -> list[Ephemeris]:
             text.fail(last, f"{field} is missing; {nearest(field, fields)}")
     times = np.array([_epoch(text, places["EPOCH"], fields["EPOCH"], scale)])
     states = np.array([[_numbers(text, _Line(places[field], ""), [fields[field]])[0] for field in axes[1:]]])
+    _check_state(text, places["X"], states[0].tolist())
     check_satellites(text, [(places["OBJECT_NAME"], name, identifier)])
     return [Ephemeris(name, identifier, times, _to_N(frame, times, states))]
 
@@ -205,6 +221,7 @@ def _oem(text: Source, lines: Sequence[_Line]) -> list[Ephemeris]:
                 )
             times.append(_epoch(text, line.number, words[0], meta[3]))
             states.append(_numbers(text, line, words[1:7]))
+            _check_state(text, line.number, states[-1])
         elif meta is None:
             keyword, _ = _pair(text, line)
             if keyword not in ("CREATION_DATE", "ORIGINATOR", "CLASSIFICATION", "MESSAGE_ID"):

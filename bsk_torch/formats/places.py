@@ -167,7 +167,17 @@ def _number(
     except (TypeError, ValueError):
         number = math.nan
     if not low <= number <= high:
-        swapped = "; are latitude and longitude exchanged?" if name == "latitude" and 90.0 < abs(number) <= 180.0 else ""
         bounds = f" from {low:g} to {high:g} {unit}" if unit else ""
-        text.fail(line, f"{title}{name}={value!r} must be a number{bounds}{swapped}")
+        text.fail(line, f"{title}{name}={value!r} must be a number{bounds}{angle_hint(name, number)}")
     return number
+
+
+def angle_hint(name: str, degrees: float) -> str:
+    """Return what a wrong ``latitude`` or ``longitude`` may be, as the end of a message; an empty string for other names."""
+    if name not in ("latitude", "longitude"):
+        return ""
+    if abs(degrees) > 360.0:
+        return "; are these projected coordinates in meters?"
+    if name == "latitude":
+        return "; are latitude and longitude exchanged?" if 90.0 < abs(degrees) <= 180.0 else ""
+    return f"; {degrees:g} is {degrees - math.copysign(360.0, degrees):g}" if abs(degrees) > 180.0 else ""

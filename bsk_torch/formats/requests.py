@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bsk_torch.formats.places import angle_hint
 from bsk_torch.sim.names import nearest
 from bsk_torch.untrusted import Json, Node, one_line, parse_json, read_bytes, read_yaml
 
@@ -227,7 +228,7 @@ def _table(entries: Sequence[Entry], start: datetime | None) -> RequestTable:
             sensors.append(_sensors(fields.get("sensors")))
             release, due, duration = (values[field][k] for field in ("release", "due", "duration"))
             if due < release:
-                raise ValueError(f"due={fields['due']!r} comes before the release, {release - due:g} s later")
+                raise ValueError(f"due={fields['due']!r} comes {release - due:g} s before the release")
             if duration > due - release:
                 raise ValueError(f"duration={duration:g} s is longer than the {due - release:g} s from release to due time")
         except ValueError as error:
@@ -279,8 +280,8 @@ def _number(field: str, value: object, textual: bool, start: datetime | None) ->
         quantity = _seconds(field, value, start)
     if not low <= quantity <= high:
         also = ", or a time of ISO 8601 with a zone" if field in TIMES else ""
-        hint = "; are latitude and longitude swapped?" if field == "latitude" and 90.0 < abs(quantity) <= 180.0 else ""
-        raise ValueError(f"{field}={value!r:.80} must be a number in [{low:g}, {high:g}] {unit}".rstrip() + also + hint)
+        wrong = f"{field}={value!r:.80} must be a number in [{low:g}, {high:g}] {unit}".rstrip()
+        raise ValueError(wrong + also + angle_hint(field, quantity))
     return quantity
 
 

@@ -13,7 +13,7 @@ from typing_extensions import override
 from bsk_torch._checks import text
 from bsk_torch.astro.geodetic import Vertical, geodetic_to_fixed
 from bsk_torch.constants import R_EARTH
-from bsk_torch.formats.places import HIGHEST, LOWEST, PlaceList, read_csv, read_geojson
+from bsk_torch.formats.places import HIGHEST, LOWEST, PlaceList, angle_hint, read_csv, read_geojson
 from bsk_torch.rand import Distribution, Key, PerEnv, first_key
 from bsk_torch.scene.draws import as_numbers, calls_user, check_numbers, check_positions, draw_numbers
 from bsk_torch.scene.targets import TargetScenario
@@ -144,10 +144,8 @@ def _angles(name: str, value: object, bound: float) -> Tensor:
     bad = torch.nonzero(~(angles.abs() <= bound))
     if len(bad):
         k = int(bad[0])
-        swapped = "; are latitude and longitude exchanged?" if name == "latitude" and 90.0 < angles[k].abs() <= 180.0 else ""
-        raise ValueError(
-            f"{name} of target {k} is {angles[k].item():g}; it must be from {-bound:g} to {bound:g} degrees{swapped}"
-        )
+        hint = angle_hint(name, angles[k].item())
+        raise ValueError(f"{name} of target {k} is {angles[k].item():g}; it must be from {-bound:g} to {bound:g} degrees{hint}")
     return angles
 
 

@@ -36,5 +36,23 @@ def aeossp(name: str) -> str:
     return with_command(name, titles, rows)
 
 
-TABLES: dict[str, Callable[..., str]] = {"aeossp": aeossp}
+def entrants(name: str) -> str:
+    """Return what rules and a policy deliver in a case, next to flown plans."""
+    found = load(name)
+    case = found["options"]["case"]
+    plans = [row for row in load("aeossp_flown")["rows"] if row["case"] == case and not row["slack"]]
+    rows = [[f"plan of `{row['plan']}`, flown", f"{row['WCR']:.4f}", f"{row['delivered']:,}", "-"] for row in plans]
+    rows += [
+        [
+            f"rule `{row['entrant']}`" if row["entrant"] != "policy" else "policy",
+            f"{row['WCR']:.4f}",
+            f"{row['looks']:,}",
+            f"{row['cpu']:.0f}",
+        ]
+        for row in found["rows"]
+    ]
+    return with_command(name, [f"entrant of {case}", "WCR delivered", "looks", "CPU s"], rows)
+
+
+TABLES: dict[str, Callable[..., str]] = {"aeossp": aeossp, "aeossp_entrants": entrants}
 """Tables by name."""

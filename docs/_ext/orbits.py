@@ -31,7 +31,14 @@ def orbit_samples() -> str:
     """Return the differences of the sample satellites' positions and windows, and those of all of them."""
     found = load("real_orbits")["samples"]
     rows = [
-        [name, f"{away['rms']:,.0f} m", f"{away['worst']:,.0f} m", str(edges["count"]), f"{edges['rms']:.2f} s", f"{edges['worst']:.2f} s"]
+        [
+            name,
+            f"{away['rms']:,.0f} m",
+            f"{away['worst']:,.0f} m",
+            str(edges["count"]),
+            f"{edges['rms']:.2f} s",
+            f"{edges['worst']:.2f} s",
+        ]
         for name, away, edges in zip(found["names"], found["positions"], found["windows"], strict=True)
     ]
     everywhere, worst = found["all"], max(away["worst"] for away in found["positions"])

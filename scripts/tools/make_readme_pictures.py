@@ -60,7 +60,7 @@ THUMBNAIL, THUMBNAIL_TIME, DAYLIGHT = 200, 1500.0, 0.35
 zenith angle below the first satellite is so large."""
 
 LATER = {"Areas-v1": 18_000.0}
-"""Presets whose thumbnail shows a later time: areas that have been recorded in earlier revolutions are in view."""
+"""Presets whose thumbnail shows a later time: areas recorded in earlier revolutions are in view."""
 
 ZOOM = 1.3
 """How much larger a single satellite is shown."""

@@ -4,7 +4,7 @@
 
 `real_orbits.tle` holds the orbits: three sets of Space-Track of 2026-04-13, and seven of the verification cases of SGP4 (Vallado,
 Crawford, Hujsak and Kelso, "Revisiting Spacetrack Report #3", AIAA 2006-6753). Each episode begins at the epoch of its set.
-The twenty satellites and hundred cities of `bsk_torch.formats.SAMPLES` follow, all from the same epoch, with positions and windows.
+The twenty satellites and hundred cities of `bsk_torch.formats.SAMPLES` follow, all from the same epoch: positions and windows.
 Skyfield and ERFA are needed; brahe is compared if it is installed.
 """
 
@@ -118,7 +118,9 @@ def positions(simulator: Any, others: list[Callable[[float], np.ndarray]], at: S
     return found
 
 
-def windows(simulator: Any, satellites: list[EarthSatellite], timescale: Any, places: Places) -> tuple[list[list[float]], int, int]:
+def windows(
+    simulator: Any, satellites: list[EarthSatellite], timescale: Any, places: Places
+) -> tuple[list[list[float]], int, int]:
     """Differences of opening and closing times from Skyfield's, s, by orbit; windows on either side without a partner."""
     table, each, extra, missing = simulator.lookahead.access.windows["target"], list[list[float]](), 0, 0
     limit = 3600.0 * WINDOW_HOURS

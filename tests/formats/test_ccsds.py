@@ -88,6 +88,8 @@ def test_wrong_messages_are_refused(monkeypatch):
         refusal(lambda: read_ccsds(oem(STATES.replace("84.049", "8_4"))), ValueError, "line 15", "'8_4'", "number"),
         refusal(lambda: read_ccsds(oem(STATES.replace("T22:00:00.000", "T25:00:00"))), ValueError, "line 15", "25:00:00"),
         refusal(lambda: read_ccsds(oem(STATES.replace("2026-103T", "2026-102T"))), ValueError, "line 5", "state 2", "time"),
+        refusal(lambda: read_ccsds(oem("2026-04-13T22:00:00 7e6 0 0 0 7.5e3 0\n")), ValueError, "line 15", "7e+06 km", "km/s"),
+        refusal(lambda: read_ccsds(oem("2026-04-13T22:00:00 7e3 0 0 0 7.5e3 0\n")), ValueError, "line 15", "7500 km/s"),
         refusal(lambda: read_ccsds(oem("")), ValueError, "line 5", "no states"),
         refusal(lambda: read_ccsds(segments(STATES)), ValueError, "line 5", "overlap"),
         refusal(lambda: read_ccsds("CCSDS_OEM_VERS = 2.0\n"), ValueError, "no segment"),

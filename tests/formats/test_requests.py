@@ -102,8 +102,9 @@ def test_wrong_entries(tmp_path):
     lacking = {"id": "a", "latitude": 1.0}
     check_refusals(
         bad("latitude", 91.0, 91.0, 90, "degrees"),
-        bad("latitude", 147.0, 147.0, "swapped"),
-        bad("longitude", 200, 200, 180, "degrees"),
+        bad("latitude", 147.0, 147.0, "exchanged"),
+        bad("longitude", 200, 200, 180, "degrees", "200 is -160"),
+        bad("longitude", 1.1e6, "meters"),
         bad("height", 2e4, 20000.0, "m"),
         bad("weight", "5", "'5'", "number"),
         bad("weight", True, True, "number"),

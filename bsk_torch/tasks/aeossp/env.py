@@ -1,7 +1,7 @@
 """Cases of aeossp_standard as environments: satellites with body, wheels and battery choose among the requests of the case.
 
-Satellites come from the element sets of the case, and slew as in :mod:`bsk_torch.tasks.aeossp.flight`. A look counts if the errors
-of pointing and rate stay within the limits of :func:`bsk_torch.tasks.aeossp.fly` for as long as the task wants, within its times.
+Satellites come from the element sets of the case, and slew as in :mod:`bsk_torch.tasks.aeossp.flight`. A look counts if pointing
+and rate stay within the limits of :func:`bsk_torch.tasks.aeossp.fly` for as long as the task wants, between release and due time.
 
 The off-nadir limit of a task is the largest of the satellites with its sensor. Satellites with a smaller one have a minimum
 elevation instead, above which the off-nadir angle is within their limit everywhere on their orbits: it leaves out a few tenths
@@ -198,9 +198,7 @@ def _requests(case: Case, weight: object = None, **times: Any) -> scene.Requests
     """Return the tasks of a case, or with another ``weight`` and ``times``."""
     requests = case.requests
     weights = requests.weight if weight is None else weight
-    places = scene.Targets.from_geodetic(
-        requests.latitude, requests.longitude, requests.altitude, weights, list(requests.names)
-    )
+    places = scene.Targets.from_geodetic(requests.latitude, requests.longitude, requests.altitude, weights, list(requests.names))
     given = dict(release=requests.release_s, due=requests.due_s, duration=requests.duration_s)
     limits = [math.radians(_widest(case, sensor)) for sensor in requests.sensor]
     return scene.Requests(places, **(times or given), sensors=list(requests.sensor), max_off_nadir=limits)

@@ -1,7 +1,8 @@
 """Where satellites of a case are, which tasks they see, and whether the Sun shines on them, in numpy.
 
 Orbits are those of SGP4 with the constants of WGS84, in its frame TEME (true equator, mean equinox). The Earth turns by the mean
-sidereal time of 1982 about the third axis; UT1 is UTC, and polar motion is neglected, as in the benchmark. Angles between directions are the same in TEME and in GCRF.
+sidereal time of 1982 about the third axis; UT1 is UTC, and polar motion is neglected, as in the benchmark. Angles between
+directions are the same in TEME and in GCRF.
 
 Sources: Vallado, *Fundamentals of Astrodynamics and Applications*, 4th ed., 2013, for the frames and the low-precision Sun of the
 Astronomical Almanac (0.01 deg).
