@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, get_start_method
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -313,7 +313,7 @@ def meet() -> None:
 
 def in_processes(count: int, function: Callable[..., Any], *args: Any) -> list[Any]:
     """Results of ``function(rank, *args)`` in ``count`` new processes at once."""
-    context = get_context("spawn")
+    context = get_context(get_start_method(allow_none=True) or "spawn")
     with ProcessPoolExecutor(count, context, _join, (context.Barrier(count),)) as pool:
         return [task.result() for task in [pool.submit(function, rank, *args) for rank in range(count)]]
 

@@ -99,8 +99,8 @@ def test_an_orbit(name, caplog):
 @pytest.mark.parametrize(("name", "law", "h"), itertools.product(LAWS, ("feedback", "steering"), (0.5, 2.0)))
 def test_gains_suit_both_laws_and_other_ticks(name, law, h, caplog):
     caplog.set_level(logging.WARNING)
-    described = satellite(getattr(craft, name)(h, law), law)
-    SatelliteTasking(described, scenario=scene.UniformTargets(10), num_envs=2, sim_rate=h, backend="eager").reset()
+    described = satellite(getattr(craft, name)(h, law) | dict(imageTargetMinimumElevation=0.1), law)  # one is soon in view
+    SatelliteTasking(described, scenario=scene.UniformTargets(300), num_envs=2, sim_rate=h, backend="eager").reset()
     assert not [record for record in caplog.records if "stable" in record.getMessage() or "oscillates" in record.getMessage()]
 
 

@@ -98,6 +98,14 @@ def test_kernels_of_earlier_runs_make_no_test_fast(results, tmp_path):
     assert noted == {"t.py::gone": 2 * SLOW, "t.py::long": 2 * LONG, "other.py::slow": 1.0}
 
 
+def test_tests_without_a_time_stay_in_the_night(results, tmp_path):
+    (tmp_path / "durations.json").write_text(json.dumps({"t.py::alike": None, "t.py::gone": None}))
+    results.config.getoption = {"measure": True, "levels": "nightly"}.get
+    results.pytest_runtest_logreport(report("t.py::alike", 3 * SLOW))
+    results.pytest_terminal_summary(SimpleNamespace(write_line=print))
+    assert json.loads((tmp_path / "durations.json").read_text()) == {"t.py::alike": None}
+
+
 def test_every_level_is_one_of_the_script():
     text = (ROOT / "scripts" / "test.sh").read_text()
     for name in LEVELS[1:]:

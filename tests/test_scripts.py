@@ -190,8 +190,6 @@ scripts/tools/without_room.py tasks/safe_autonomy --pytest tests/test_vec3.py
   compiled: tasks/safe_autonomy: left out are \d+ files .* tests
 scripts/tools/make_tables.py --samples --out .
   basilisk: largest position error 0.49
-scripts/tools/update_golden.py --folder golden
-  compiled: 4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp
 scripts/validation/truth.py --only spinning --out truth.json
   compiled: spinning \(models\): .* equal: True; beyond their bounds: \[\]
 scripts/validation/mutants.py --check
@@ -263,6 +261,7 @@ ELSEWHERE = {
     "scripts/validation/differential.py": "tests/basilisk/test_differential.py",
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
     "scripts/tools/check_prose.py": "tests/test_prose.py",
+    "scripts/tools/update_golden.py": "tests/codegen/test_golden.py",
     "scripts/tools/make_three.py": "tests/viewer/test_page.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
     "scripts/tools/publish_policy.py": "tests/cli/test_constellation.py",

@@ -24,23 +24,23 @@ def one_episode(case, k):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("case", ["fine", "one", "three"])
-def test_points_are_found_in_the_steps_of_the_recording(case):
-    recorded = one_episode(case, 0)
-    env = environment(recorded)
-    points = SphericalRSO(**recorded.initial[0]["scenario"]).generate_points()
-    inspectors = [(1, row) for row in range(len(recorded.initial[0]["sats"]) - 1)]
-    inspection = Inspection(env.fleet, (0, 0), inspectors, points)
-    known = np.zeros((len(inspectors), 2, len(points)), dtype=bool)
-    for k, _, _ in replay(env, recorded):
-        known |= np.array([inspection.take(place) for place in inspectors])
-        np.testing.assert_array_equal(known[:, 0], recorded.arrays["inspected"][0][k + 1] > 0)
-        np.testing.assert_array_equal(known[:, 1], recorded.arrays["illuminated"][0][k + 1] > 0)
-        assert not np.any([inspection.take(place) for place in inspectors]), "found twice"
-    assert known[:, 0].any()
-    assert not known[:, 1].all()
-    inspection.stop()
-    assert inspection._look not in env.fleet.flight_observers
+def test_points_are_found_in_the_steps_of_the_recordings():
+    for case in ("fine", "one", "three"):
+        recorded = one_episode(case, 0)
+        env = environment(recorded)
+        points = SphericalRSO(**recorded.initial[0]["scenario"]).generate_points()
+        inspectors = [(1, row) for row in range(len(recorded.initial[0]["sats"]) - 1)]
+        inspection = Inspection(env.fleet, (0, 0), inspectors, points)
+        known = np.zeros((len(inspectors), 2, len(points)), dtype=bool)
+        for k, _, _ in replay(env, recorded):
+            known |= np.array([inspection.take(place) for place in inspectors])
+            np.testing.assert_array_equal(known[:, 0], recorded.arrays["inspected"][0][k + 1] > 0, case)
+            np.testing.assert_array_equal(known[:, 1], recorded.arrays["illuminated"][0][k + 1] > 0, case)
+            assert not np.any([inspection.take(place) for place in inspectors]), f"found twice in {case}"
+        assert known[:, 0].any()
+        assert not known[:, 1].all()
+        inspection.stop()
+        assert inspection._look not in env.fleet.flight_observers
 
 
 # -- rewards ---------------------------------------------------------------------------------------------------------------------

@@ -25,13 +25,14 @@ def test_names_are_those_of_the_tables():
     assert makings().keys() <= LISTED.keys()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("preset", LISTED)
 def test_rules_of_a_preset_are_those_that_fit(preset):
     if preset == "AEOSCity-v1":
         pytest.importorskip("pandas")
     fitting = {"random"}
-    for options in ({}, WITH_OPTIONS.get(preset, {})):
-        fitting |= set(shared_policy.shared_baselines(bsk_torch.make(preset, num_envs=1, backend="eager", **options)))
+    for options in [{}, WITH_OPTIONS[preset]] if preset in WITH_OPTIONS else [{}]:
+        fitting |= set(shared_policy.shared_baselines(bsk_torch.make(preset, num_envs=1, **options)))
     assert fitting == {"random", *LISTED[preset].rules}
 
 

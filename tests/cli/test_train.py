@@ -70,7 +70,8 @@ def test_the_number_of_processes_is_chosen_and_kept(run, tmp_path, monkeypatch, 
     caplog.set_level(logging.INFO, logger="bsk_torch")
     monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(2, "2 available cores"))
     sizes = ["num_envs=64", "rollout=2"]
-    result = run("train", "NadirScan-v1", "--frames", 128, "--workers", "auto", *sizes, "--out", tmp_path, *SHORT)
+    with forked_processes():
+        result = run("train", "NadirScan-v1", "--frames", 128, "--workers", "auto", *sizes, "--out", tmp_path, *SHORT)
     assert result.exit_code == 0, result.output
     assert "workers=auto: collector=multi workers=2, for 2 available cores" in caplog.text
     config = load_config(tmp_path / "config.yaml", PPOConfig)

@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts" / "tools"))
 
+import update_golden  # noqa: E402
 from update_golden import FOLDER, TABLE, WHOLE, all_sources, golden_files  # noqa: E402
 
 SHOWN = 60
@@ -48,6 +49,18 @@ def test_every_source_is_golden_in_full_or_by_its_hash(sources):
     name = next(iter(hashes))
     changed = golden_files(texts | {name: texts[name] + " "}, names)
     assert {key for key in files if files[key] != changed[key]} == {TABLE}
+
+
+def test_the_script_writes_what_has_changed_and_removes_what_no_preset_uses(sources, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(update_golden, "all_sources", lambda: sources)
+    monkeypatch.setattr(sys, "argv", ["update_golden.py", "--folder", str(tmp_path)])
+    (tmp_path / "Old-v1.cpp").write_text("no preset has it")
+    update_golden.main()
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in FOLDER.iterdir()}
+    assert "written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp" in capsys.readouterr().out
+    (tmp_path / "AEOS-v1.cpp").write_text("")
+    update_golden.main()
+    assert "written or changed: AEOS-v1.cpp\n" in capsys.readouterr().out
 
 
 def test_differences_are_shown():

@@ -1,8 +1,11 @@
 """Clouds hide targets from satellites that do not see through them, and from these only."""
 
+import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
+
+pytestmark = pytest.mark.compiled
 
 PRIORITIES = [0.5, 0.25, 1.0, 0.125]
 
@@ -21,7 +24,7 @@ def cluster(*kinds, **options):
     targets = scene.Targets([[6378e3, 1e5 * k, 0.0] for k in range(4)], PRIORITIES)
     clouds = scene.CloudyTargets(targets, cover=[0.9, 0.8, 0.7, 0.1], forecast_sigma=0.0)
     satellites = [kind(f"S{k}") for k, kind in enumerate(kinds)]
-    settings = dict(rewarder=data.CloudFreeImageReward(), num_envs=2, seed=0, backend="eager", time_limit=60.0)
+    settings = dict(rewarder=data.CloudFreeImageReward(), num_envs=2, seed=0, time_limit=60.0)
     env = ConstellationTasking(satellites, clouds, communicator=comm.FreeCommunication(), **(settings | options))
     env.reset()
     return env

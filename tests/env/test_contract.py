@@ -282,7 +282,7 @@ def test_float32_simulation_stays_close():
 
 
 def test_parallel_env():
-    env = ParallelEnv(2, functools.partial(make, 2), mp_start_method="spawn")
+    env = ParallelEnv(2, functools.partial(make, 2), mp_start_method="forkserver")  # that of tests.support.programs
     try:
         rollout = env.rollout(2)
         assert rollout["observation"].shape == (2, 2, 2, 12)

@@ -333,9 +333,10 @@ def test_episodes_beyond_the_ephemeris_are_refused_before_they_begin():
         check_refusals(refusal(lambda: make(world_args=LATE, time_limit=1200.0), *names), refusal(env.reset, *names))
 
 
+@pytest.mark.compiled
 def test_episodes_at_the_end_of_the_ephemeris():
     """They look ahead beyond it, where the Sun stands still; one without its own limit is truncated at the end."""
-    env = make(world_args=LATE, time_limit=float("inf"), seed=1)
+    env = make(world_args=LATE, time_limit=float("inf"), seed=1, backend="compiled")
     td = env.reset()
     assert env.state.limit_ticks.tolist() == [531, 531]
     for _ in range(10):

@@ -437,7 +437,7 @@ def test_sets_and_vectors_say_the_same():
 def test_more_targets_are_seen_above_the_horizon(compat):
     counts = []
     for limit in (0.0, 0.3):
-        env = begun(imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager", compat=compat))
+        env = begun(imager(2, sat_args=dict(imageTargetMinimumElevation=limit), compat=compat))
         windows = env.satellite.find_windows(3000.0)
         counts.append(int(torch.isfinite(windows.close).sum()))
     assert counts[0] > counts[1] > 5
@@ -469,7 +469,7 @@ def test_windows_after_the_time_limit_are_masked(settings, caplog):
     """Unless that is switched off; one warning for all environments of a kind says that most are late."""
     spec = (act.Charge(duration=60.0), act.Image(4, mask_late=settings.get("mask_late", True)))
     kind = varied(action_spec=spec, observation_spec=(obs.Time(),))
-    env = imager(8, kind, targets=FEW, backend="eager", compat=settings.get("compat"))
+    env = imager(8, kind, targets=FEW, compat=settings.get("compat"))
     mask = env.reset()["action_mask"]
     late = env.satellite.find_next_opportunities(4).open >= 2850.0
     assert late.double().mean() > 0.5
@@ -483,8 +483,8 @@ def test_windows_after_the_time_limit_are_masked(settings, caplog):
 
 
 def test_windows_before_the_time_limit_are_all_offered(caplog):
-    assert imager(8, backend="eager").reset()["action_mask"].all()
-    endless = imager(8, varied(observation_spec=(obs.Time(),)), targets=FEW, time_limit=math.inf, backend="eager")
+    assert imager(8).reset()["action_mask"].all()
+    endless = imager(8, varied(observation_spec=(obs.Time(),)), targets=FEW, time_limit=math.inf)
     assert endless.reset()["action_mask"].all()
     assert not [record for record in caplog.records if "open after the time limit" in record.getMessage()]
 

@@ -129,12 +129,14 @@ def of_satellites(env: ConstellationTasking, td: TensorDict, row: int) -> dict[s
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("satellites", [imagers, mixed])
 def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellites, backend) -> None:
-    steps = 8 if backend == "compiled" else 4  # the eager back end is slow, and decides alike: see below
+    steps, rows = (
+        (8, (0, 1, 2, 3)) if backend == "compiled" else (2, (0, 3))
+    )  # the eager one is slow, and decides alike: see below
     env = build(satellites(5), backend=backend)
     whole = history(env, steps)
     assert whole
-    for row, number in enumerate(NUMBERS):
-        alone = build(satellites(number), scene.UniformTargets, num_envs=1, env_ids=[row], backend=backend)
+    for row in rows:
+        alone = build(satellites(NUMBERS[row]), scene.UniformTargets, num_envs=1, env_ids=[row], backend=backend)
         for one, many in zip(history(alone, steps), whole, strict=True):
             theirs, mine = of_satellites(alone, one, 0), of_satellites(env, many, row)
             for name, leaves in theirs.items():

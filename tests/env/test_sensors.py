@@ -299,11 +299,11 @@ def test_shared_facts_avoid_duplicates():
 
 
 def test_rules_of_teams_are_compared_and_flown_and_stand_behind_no_shield(capsys):
-    env = sensors("ThreeSensors-v1", backend="eager")
+    env = sensors("ThreeSensors-v1")
     assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", *AHEAD}
     with pytest.raises(ValueError, match="decides for all satellites at once"):
         for_each_group(lambda policy, view: policy, baseline("local", env), env)
-    alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12, backend="eager"))
+    alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12))
     assert set(alone) == {"random", *ORDERS, *WORTHS} - {"prompt", *AHEAD}
     app(["eval", "local", "--preset", "ThreeSensors-v1", "--seeds", "0:2", "--time-limit", "600"], standalone_mode=False)
     assert re.search(r"local +[\d.]+ ± ", capsys.readouterr().out)

@@ -9,6 +9,8 @@ import torch
 from bsk_torch import SatelliteTasking, act, dyn, obs, sats, scene
 from tests.support.refusals import check_refusals, refusal
 
+pytestmark = pytest.mark.compiled
+
 
 class OwnDynModel(dyn.ImagingDynModel):
     @property
@@ -48,7 +50,7 @@ def make(num_envs, spec=SPEC, dyn_type=OwnDynModel, **options):
     satellite = type(
         "Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),), dyn_type=dyn_type)
     )
-    given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options
+    given = dict(time_limit=600.0, seed=1, dtype=torch.float64) | options
     return SatelliteTasking(satellite("A", obs_type=dict), scene.UniformTargets(100), num_envs=num_envs, **given)
 
 

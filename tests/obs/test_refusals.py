@@ -11,12 +11,14 @@ import torch
 from bsk_torch import SatelliteTasking, act, obs, rand, sats, scene
 from tests.support.refusals import check_refusals, refusal
 
+pytestmark = pytest.mark.compiled
+
 
 def make(*spec, obs_type=np.ndarray, **more):
     satellite = type("Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),)))(
         "A", obs_type=obs_type
     )
-    options = dict(num_envs=2, time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | more
+    options = dict(num_envs=2, time_limit=600.0, seed=1, dtype=torch.float64) | more
     return SatelliteTasking(satellite, scene.UniformTargets(100), **options)
 
 

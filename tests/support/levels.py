@@ -79,7 +79,7 @@ def level(name: str, durations: dict[str, float | None]) -> str:
 
 
 def read_durations() -> dict[str, float | None]:
-    """CPU seconds of the slow tests, by id; None of a test for the night that has not been measured yet."""
+    """CPU seconds of the slow tests, by id; None of one of many alike, of which others run with --full: it stays in the night."""
     return json.loads(DURATIONS.read_text())
 
 
@@ -265,11 +265,12 @@ class Results:
         if self.config.getoption("measure"):
             files, wanted = {_file(test) for test in seconds}, levels_of(self.config)
             earlier = {test: durations.get(test) or 0.0 for test in self.reusing()}
-            for test in durations.copy():
-                if _file(test) in files and level(test, durations) in wanted:  # measured again, or deleted
+            for test, value in durations.copy().items():
+                again = _file(test) in files and level(test, durations) in wanted  # measured again, or deleted
+                if again and (value is not None or test not in seconds):
                     del durations[test]
             measured = {test: round(max(value, earlier.get(test, 0.0)), 2) for test, value in seconds.items()}
-            durations |= {test: value for test, value in measured.items() if value > SLOW}
+            durations |= {test: value for test, value in measured.items() if value > SLOW and test not in durations}
             DURATIONS.write_text(json.dumps(durations, indent=0, sort_keys=True) + "\n")
 
     def reusing(self) -> set[str]:

@@ -6,13 +6,15 @@ import torch
 from bsk_torch import make, rand
 from bsk_torch.rand import first_key
 
+pytestmark = pytest.mark.compiled
+
 N = 40
 """Environments, enough for prepared episodes."""
 
 
 @pytest.fixture(scope="module")
 def env():
-    return make("Constellation-v1", n_satellites=3, num_envs=N, seed=1, backend="eager")
+    return make("Constellation-v1", n_satellites=3, num_envs=N, seed=1)
 
 
 def test_batches_prepared_episodes_and_copies_share_one_type(env):

@@ -12,10 +12,9 @@ SCAN, CHARGE, DOWNLINK, DESAT = range(4)
 
 
 def fly(args: dict[str, Any], actions: tuple[int, ...] = (SCAN, DOWNLINK), **options: Any) -> SatelliteTasking:
-    """Return an environment of three satellites after some actions."""
-    env = SatelliteTasking(
-        ScanningSatellite("A", args), seed=0, time_limit=900.0, **{"num_envs": 3, "backend": "eager"} | options
-    )
+    """Return an environment of three satellites after some actions, each of which lasts a minute at the most."""
+    short = {"num_envs": 3, "backend": "eager", "max_step_duration": 60.0}
+    env = SatelliteTasking(ScanningSatellite("A", args), seed=0, time_limit=900.0, **short | options)
     td = env.reset()
     for action in actions:
         td = env.step(td.set("action", torch.full(env.batch_size, action)))["next"]

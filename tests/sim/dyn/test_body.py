@@ -46,7 +46,7 @@ def test_any_body_keeps_momentum_and_energy():
 
 class Plain(sats.Satellite):
     observation_spec = (obs.Time(),)
-    action_spec = (act.Drift(duration=60.0),)
+    action_spec = (act.Drift(duration=20.0), act.Drift(name="minute", duration=60.0))
     dyn_type = dyn.BasicDynamicsModel
     fsw_type = fsw.BasicFSWModel
 
@@ -112,7 +112,7 @@ def test_gravity_turns_a_body_toward_the_vertical(orbit):
     for kind in (Plain, Stable):
         args = FLIGHT | {"omega_init": [0.0] * 3, "wheelSpeeds": [0.0] * 3}
         env = SatelliteTasking(kind("A", args), num_envs=1, seed=0, orbit=orbit, backend="eager", time_limit=60.0)
-        env.step(env.reset().set("action", torch.zeros(1, dtype=torch.int64)))
+        env.step(env.reset().set("action", torch.ones(1, dtype=torch.int64)))
         found[kind] = env.satellite.dynamics.omega_BN_B[0]
     r, v = (torch.tensor(FLIGHT[name], dtype=torch.float64) for name in ("rN", "vN"))
     x = r + 30.0 * v  # in the middle of the minute
