@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.rl.evaluation.evaluate import failed_checks, start_episodes
@@ -19,7 +20,7 @@ DIGITS = 6
 """Significant digits of the numbers that are shown."""
 
 
-def shown(number: float) -> float:
+def shown(number: float | Tensor) -> float:
     """Return a number with the digits that are shown."""
     return float(f"{float(number):.{DIGITS}g}")
 
