@@ -34,8 +34,8 @@ LIBRARIES: list[object] = []
 
 
 def is_portable() -> bool:
-    """Return whether the process has been started to give the same results on other processors."""
-    return bool(os.environ.get(VARIABLE))
+    """Return whether the process gives the same results on other processors; the variable, set later, changes nothing."""
+    return bool(LIBRARIES)
 
 
 def choose_instructions() -> None:
@@ -44,7 +44,7 @@ def choose_instructions() -> None:
     Raises:
         ImportError: If NumPy has been imported, and has chosen its instructions.
     """
-    if not is_portable():
+    if not os.environ.get(VARIABLE):
         return
     missing = {name: value for name, value in SETTINGS.items() if os.environ.get(name) != value}
     if missing and "numpy" in sys.modules:

@@ -74,9 +74,9 @@ test_browser() {
 
 install_extras() {  # level
     case $1 in
-        default) install .venv -c constraints.txt -e ".[test,viz,sb3,areas,cities]"; return ;;
-        full) install .venv -c constraints.txt -e ".[tensorboard,viz,video,sb3,areas,onnx,cities,minari,docs,dev]" ;;
-        nightly) install .venv -c constraints.txt -e ".[tensorboard,viz,video,sb3,areas,onnx,cities,minari,docs,dev,ray]" ;;
+        default) install .venv -c constraints.txt -e ".[test,viz,sb3,areas,cities,mcp]"; return ;;
+        full) install .venv -c constraints.txt -e ".[tensorboard,viz,video,sb3,areas,onnx,cities,minari,mcp,docs,dev]" ;;
+        nightly) install .venv -c constraints.txt -e ".[tensorboard,viz,video,sb3,areas,onnx,cities,minari,mcp,docs,dev,ray]" ;;
     esac
     # clients and validators that no one here wrote; pip would take an older TorchRL or python-dateutil with them
     install .venv --no-deps benchmarl==1.5.2 czml3==4.0.0

@@ -105,6 +105,8 @@ benchmarks/own_environments.py --only Frugal-v1 --seeds 1 --episodes 2 --frames 
   compiled: \| Frugal-v1 \| 17,100 \| truncates \| [-\d.e]+ \| .* \(\w+\) \| [-\d.e]+ \| [01] of 1 \|
 benchmarks/planners.py --presets NadirScan-v1 --episodes 2 --time-limit 300 --budget 3
   compiled: \| NadirScan-v1 \| mcts over rule \| [\d.]+ \+- [\d.]+ \|.*\| [\d,]+ \| [\d.]+ \|
+benchmarks/portable.py --tasks scan --batch 4 --turns 1 --steps 2
+  compiled: \| scan \| [\d.]+ \| [\d.]+ \| [\d.]+ to [\d.]+ \|
 benchmarks/return_vs_computation.py --presets NadirScan-v1 --limit 300 --episodes 2 --least 1 --core-seconds 0
     --timing-seconds 0 --dearest 0
   compiled: (?s)\| rule \|  \| 2 \| .*\| tree search \| budget=12 \| 1 \| [\d.]+ \+- \w+ \|

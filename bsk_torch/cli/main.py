@@ -73,6 +73,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "bsk_torch.lab.commands.leaderboard:leaderboard",
         "Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).",
     ),
+    "mcp": (
+        "bsk_torch.lab.agents.commands:mcp",
+        "Serve episodes as tools to an agent: observe, list_actions, what_if, commit, report.",
+    ),
     "export-aeosbench": (
         "bsk_torch.tasks.aeos_bench.commands:export_aeosbench",
         "Fly cases of AEOS-Bench, and write trajectories and annotations for its own evaluator.",

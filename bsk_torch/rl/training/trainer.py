@@ -55,7 +55,7 @@ LEVEL = "storage_level_fraction"
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Use one thread of torch: in long sums, and in MKL on processors of Intel, the order of parts follows the number of threads."""
+    """Use one thread of torch: the order of long sums, and of MKL's on processors of Intel, follows the number of threads."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
