@@ -133,9 +133,8 @@ def test_ticks_never_wait_and_never_change_shape(started):
         assert not any(inside)
 
 
-@pytest.mark.parametrize("mode", ["fake", "symbolic"])
-def test_a_tick_does_not_look_at_its_data(mode):
-    """On tensors without data it is the same tick."""
+def test_a_tick_does_not_look_at_its_data():
+    """On tensors without data, or sizes, it is the same tick."""
     env = bsk_torch.make("NadirScan-v1", num_envs=4, seed=4, backend="eager")
     env.reset()
     simulator = env.simulator
@@ -143,5 +142,5 @@ def test_a_tick_does_not_look_at_its_data(mode):
     now, flags = start.ticks.double() + 1.0, start.flags[:, start.mode]
     parts = *(track.table for track in start.tracks), *(track.start for track in start.tracks)
     inputs = start.state, start.shared, start.own, flags, now, now + 1.0, *parts
-    graph = make_fx(lambda *tensors: simulator.tick.step(*tensors), tracing_mode=mode, _allow_non_fake_inputs=True)(*inputs)
+    graph = make_fx(lambda *tensors: simulator.tick.step(*tensors), tracing_mode="symbolic", _allow_non_fake_inputs=True)(*inputs)
     torch.testing.assert_close(graph(*inputs), simulator.tick.step(*inputs), rtol=0, atol=0)

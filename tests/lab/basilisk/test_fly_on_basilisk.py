@@ -106,8 +106,9 @@ def test_random_actions_are_legal_and_belong_to_the_episode():
     assert not torch.equal(actions, random_action(seen, range(200), 6)[0])
 
 
+@pytest.mark.compiled
 def test_sets_are_made_of_vectors_as_the_preset_makes_them():
-    options = EAGER | {"num_envs": 2, "seed": 5, "n_targets": (3, 60)}
+    options = {"time_limit": 400.0, "num_envs": 2, "seed": 5, "n_targets": (3, 60)}
     vector, sets = (make("AEOSPower-v1", as_set=as_set, **options) for as_set in (False, True))
     wanted = sets.reset()["observation"]
     made = as_sets(vector.reset()["observation"], vector.satellite.observation_description)

@@ -117,7 +117,7 @@ def test_the_degree_of_the_field_belongs_to_the_dynamics_model(backend):
     """Arcs and integrated orbits of degree 4 agree with each other, and differ from those of degree 10 by the missing terms."""
     model = type("Coarse", (dyn.DynamicsModel,), {"gravity_degree": 4})
     orbit = {"rN": [6.9e6, 0.0, 0.0], "vN": [0.0, 5.4e3, 5.4e3]}
-    positions = {}
+    positions, duration = {}, 600.0 if backend == "compiled" else 240.0
     for name, dyn_type, options in (
         ("arc", model, {}),
         ("flown", model, {"orbit": "integrated"}),
@@ -126,11 +126,11 @@ def test_the_degree_of_the_field_belongs_to_the_dynamics_model(backend):
         satellite = type(
             "Mine", (sats.Satellite,), {"dyn_type": dyn_type, "fsw_type": fsw.FSWModel, "observation_spec": [obs.Time()]}
         )
-        satellite.action_spec = [act.Drift(duration=600.0)]
-        env = SatelliteTasking(satellite("A", orbit), time_limit=600.0, backend=backend, seed=0, **options)
+        satellite.action_spec = [act.Drift(duration=duration)]
+        env = SatelliteTasking(satellite("A", orbit), time_limit=duration, backend=backend, seed=0, **options)
         env.rollout(1)
         positions[name] = env.satellite.dynamics.r_BN_N
     torch.testing.assert_close(positions["arc"], positions["flown"], rtol=0, atol=1e-3)
-    assert 0.1 < (positions["full"] - positions["arc"]).norm() < 1e3
+    assert 0.01 < (positions["full"] - positions["arc"]).norm() < 1e3
     with pytest.raises(TypeError, match=r"Wrong.gravity_degree=11 must be 0 \(a point mass\) or from 2 to 10"):
         type("Wrong", (dyn.DynamicsModel,), {"gravity_degree": 11})

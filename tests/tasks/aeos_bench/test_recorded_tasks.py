@@ -33,8 +33,11 @@ def choices(file: dict[str, NDArray], count: int) -> NDArray:
     return found
 
 
-@pytest.mark.parametrize("name", ["random", "odd", "greedy"])
-def test_access_and_successes_are_those_of_basilisk(name, tmp_path, backend):
+@pytest.mark.parametrize(
+    ("name", "backend"),
+    [*(pytest.param(name, "compiled", marks=pytest.mark.compiled) for name in ("random", "odd", "greedy")), ("odd", "eager")],
+)
+def test_access_and_successes_are_those_of_basilisk(name, backend, tmp_path):
     """All events to the second: the flights are gentle enough for two flights of Basilisk to have the same (``sensitivity``)."""
     file = Flight.file_of(name)
     env = environment(file, tmp_path, sensor="chosen", backend=backend)
