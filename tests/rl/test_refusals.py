@@ -191,7 +191,6 @@ def test_rejects_rules_that_do_not_fit(scanning):
 def test_rejects_wrong_seeds(scanning):
     policy = random_policy(scanning, 0)
     check_refusals(
-        refusal(lambda: evaluate(policy, scanning), ValueError, "seed=None", "seeds=None"),
         refusal(lambda: evaluate(policy, scanning, seed=0, seeds=[0]), ValueError, "seed=0", "seeds=[0]"),
         refusal(lambda: evaluate(policy, scanning, seeds=[]), ValueError, "seed=None", "seeds=[]"),
         refusal(lambda: evaluate(policy, scanning, seeds=[0, 1]), ValueError, "seeds", "env_ids=[0] * num_envs"),

@@ -115,7 +115,7 @@ def test_rejects_objects_that_are_no_policies(env):
     text = lambda observation: "charge"
     docking = bsk_torch.make("CWDocking-v1", num_envs=2, time_limit=20.0)
     check_refusals(
-        refusal(lambda: evaluate("rule", env, seed=0), TypeError, "policy='rule'", "bsk_torch.rule('rule', env)"),
+        refusal(lambda: evaluate("ruel", env, seed=0), ValueError, "'ruel'", "'rule'"),
         refusal(lambda: evaluate(3, env, seed=0), TypeError, "a int", "TensorDictModule(network", "Stable-Baselines3"),
         refusal(lambda: evaluate(lambda: 1, env, seed=0), TypeError, "the function", "TensorDictModule(network"),
         refusal(lambda: evaluate(torch.nn.Linear, env, seed=0), TypeError, "the class Linear", "TensorDictModule(network"),
