@@ -15,8 +15,8 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.rand import Distribution, Key, PerEnv, first_key, seeded
 
-Numbers = float | Distribution | Callable[[], float]
-"""One number for each target: the same for all, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments."""
+Numbers = float | Sequence[float] | Distribution | Callable[[], float]
+"""Numbers of the targets: one for all, a list, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments."""
 
 Count = int | tuple[int, int]
 """A number of targets, or a range of it with an exclusive end."""

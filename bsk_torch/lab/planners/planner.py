@@ -75,7 +75,7 @@ class PlannerOptions(TypedDict, total=False):
     reward_time: str
     value: Value | None
     futures: int | None
-    redraw: Redraw | None
+    price: Callable[[Tasking], Tensor] | Mapping[str, float] | None
     seed: int
     rows: int
 
