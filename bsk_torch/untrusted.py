@@ -181,8 +181,9 @@ def parse_yaml(content: bytes, schema: type[Schema]) -> Schema:
 def read_yaml(content: bytes, *, typed: bool = True, most: int = MOST_YAML) -> Node:
     """Return the content of a file in YAML.
 
-    Keys are text and occur once. Times without quotes are text; all values but None are, unless they are ``typed``. ValueError,
-    with the line, for other content, for anchors, aliases and tags, and more than ``most`` values or :data:`DEEPEST_YAML` levels.
+    Keys are text and occur once. Times without quotes are text; all values but None are, unless they are ``typed``.
+    ValueError, with the line, for other content, for anchors, aliases and tags, and for more than ``most`` values or
+    :data:`DEEPEST_YAML` levels.
     """
     import yaml
 

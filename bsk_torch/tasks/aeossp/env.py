@@ -200,8 +200,8 @@ def _requests(case: Case, weight: object = None, **times: Any) -> scene.Requests
     weights = requests.weight if weight is None else weight
     places = scene.Targets.from_geodetic(requests.latitude, requests.longitude, requests.altitude, weights, list(requests.names))
     given = dict(release=requests.release_s, due=requests.due_s, duration=requests.duration_s)
-    limits = [math.radians(_widest(case, sensor)) for sensor in requests.sensor]
-    return scene.Requests(places, **(times or given), sensors=list(requests.sensor), max_off_nadir=limits)
+    limits = {"max_off_nadir": np.radians([_widest(case, sensor) for sensor in requests.sensor])}
+    return scene.Requests(places, **((times or given) | limits), sensors=list(requests.sensor))
 
 
 def _widest(case: Case, sensor: str) -> float:
