@@ -22,7 +22,7 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch import ConstellationTasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl import MAPPOConfig
-from bsk_torch.rl.policies import load_policy
+from bsk_torch.rl.policies import policy_of_file
 from bsk_torch.rl.policies.shared_policy import rule, shared
 from bsk_torch.rl.training import train
 from bsk_torch.tasks.aeossp import case_env, drawn_case_env
@@ -98,7 +98,7 @@ def main() -> None:
     if not run.exists():
         train(settings, run, episodes=0)
     env = case_env(Path(options.folder, options.case))
-    entrants = {name: rule(name, env) for name in RULES} | {"policy": shared(load_policy(run), env)}
+    entrants = {name: rule(name, env) for name in RULES} | {"policy": shared(policy_of_file(run), env)}
     rows = [{"case": options.case, "entrant": name} | delivered(env, policy) for name, policy in entrants.items()]
     harness.write(options, described, rows=rows)
     print(harness.table(COLUMNS, rows))

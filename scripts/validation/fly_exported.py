@@ -33,7 +33,7 @@ from bsk_torch.lab.basilisk.flight import lacking, problem_of, starts_of
 from bsk_torch.lab.export import export_policy
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import start_episodes
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import policy_of_file
 
 BATCH = 50
 """Episodes at once in bsk_torch."""
@@ -89,7 +89,7 @@ class Agreement:
 
 def fly_here(policy_file: str, preset: str, options: dict[str, object], reader: Reader, seeds: range) -> Agreement:
     """Fly episodes by the package's policy, and ask the C code at each decision."""
-    agreement, policy = Agreement(), load_policy(policy_file)
+    agreement, policy = Agreement(), policy_of_file(policy_file)
     for first in range(0, len(seeds), BATCH):
         some = seeds[first : first + BATCH]
         env = make(preset, num_envs=len(some), env_ids=[0] * len(some), **options)
@@ -105,7 +105,7 @@ def fly_there(env: SatelliteTasking, preset: str, policy_file: str, is_set: bool
 
     start_episodes(env, seeds)
     problem, agreement = problem_of(env, preset), Agreement()
-    package = policy_pilot(load_policy(policy_file), problem.observed if is_set else ())
+    package = policy_pilot(policy_of_file(policy_file), problem.observed if is_set else ())
 
     def pilot(seen: TensorDict, asked: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
         ours, logits = package(seen, asked, step)
