@@ -125,14 +125,10 @@ def test_every_command_takes_every_kind(run, policy, command, tmp_path):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("policy", ["benchmarl"], indirect=True)
-@pytest.mark.parametrize("command", ["eval", "audit", "risk", "film", "view"])
+@pytest.mark.parametrize("command", ["eval"])
 def test_commands_for_constellations_take_experiments_of_benchmarl(run, policy, command, tmp_path):
-    arguments = [*COMMANDS[command](policy[1], tmp_path)]
-    named = ("--preset", "Constellation-v1")
-    if command == "view":
-        arguments[1], named = "Constellation-v1", ()
-    options = () if command in ("film", "view") else [text for k, v in TEAM.items() for text in ("--option", f"{k}={v}")]
-    result = run(*arguments, *named, *options)
+    options = [text for name, value in TEAM.items() for text in ("--option", f"{name}={value}")]
+    result = run(*COMMANDS[command](policy[1], tmp_path), "--preset", "Constellation-v1", *options)
     assert result.exit_code == 0, result.output
 
 
