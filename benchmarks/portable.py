@@ -58,7 +58,7 @@ def serve(task: str, batch: int, steps: int) -> None:
 
 def measure(task: str, batch: int, steps: int, turns: int) -> dict[str, object]:
     """Return a row of the table."""
-    command = [sys.executable, __file__, "serve", task, str(batch), str(steps)]
+    command = [sys.executable, __file__, "--serve", task, "--batch", str(batch), "--steps", str(steps)]
     processes = [
         subprocess.Popen(command, env=os.environ | extra, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         for extra in ({}, {VARIABLE: "1", **SETTINGS})
@@ -79,11 +79,15 @@ def main() -> None:
     """Measure and print a table."""
     arguments = harness.parser(__doc__, batch=1024, turns=5, steps=20)
     arguments.add_argument("--tasks", nargs="+", default=["scan", "imaging-100", "training"])
+    arguments.add_argument("--serve", metavar="TASK", help="measure a task in this process, as the others are told to")
     options, described = harness.begin(arguments)
+    if options.serve:
+        serve(options.serve, options.batch, options.steps)
+        return
     rows = [measure(task, options.batch, options.steps, options.turns) for task in options.tasks]
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 
 
 if __name__ == "__main__":
-    serve(sys.argv[2], *map(int, sys.argv[3:])) if sys.argv[1:2] == ["serve"] else main()
+    main()
