@@ -88,9 +88,11 @@ benchmarks/aeos_bench.py --cases 2 --batch 2 --time-limit 60 --satellites 2 3 --
 benchmarks/aeossp.py --folder {root}/tests/tasks/aeossp --cases data --models flyable --margins 5
   compiled: \| data \| flyable \| 5 \| 0\.\d+ \| 0\.\d+ \|
 benchmarks/aeossp_flown.py --folder {root}/tests/tasks/aeossp --cases data --plans solution.json --slacks 5
-benchmarks/aeossp_policy.py --folder {root}/tests/tasks/aeossp --case data --learn data --frames 128 --num-envs 2
-benchmarks/requests.py --batches 2 --requests 50 --hours 0.5 --steps 3
   compiled: \\| data \\| solution \\| 5
+benchmarks/aeossp_policy.py --folder {root}/tests/tasks/aeossp --case data --learn data --frames 128 --num-envs 2
+  compiled: farsighted
+benchmarks/requests.py --batches 2 --requests 50 --hours 0.5 --steps 3
+  compiled: decisions/s
 benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized
   compiled: (?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \|[ ]
 benchmarks/crews.py --episodes 2 --time-limit 300 --targets 12 --rules prompt
