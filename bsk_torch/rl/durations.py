@@ -113,7 +113,7 @@ class _ByDuration(ValueEstimatorBase):
 
     @override
     def value_estimate(self, tensordict: TensorDictBase, *args: Any, **options: Any) -> Tensor:
-        """Return targets of the value, [*B, T, 1]; arguments as in TorchRL."""
+        """Return targets of the value, [..., T, 1]; arguments as in TorchRL."""
         target: Tensor = super().value_estimate(self._by_duration(tensordict), *args, **options)
         return target.to(tensordict["next", self.tensor_keys.reward].dtype)
 
@@ -121,7 +121,7 @@ class _ByDuration(ValueEstimatorBase):
 class DurationGAE(_ByDuration, GAE):
     """TorchRL's :class:`~torchrl.objectives.value.GAE` with a discount per second.
 
-    ``("next", "duration")`` [*B, T, 1] s is the length of each step (another key: ``set_keys(steps_to_next_obs=...)``). A batch
+    ``("next", "duration")`` [..., T, 1] s is the length of each step (another key: ``set_keys(steps_to_next_obs=...)``). A batch
     without it raises a KeyError; TorchRL would take all steps for equal.
 
     Example:
@@ -144,7 +144,7 @@ class DurationGAE(_ByDuration, GAE):
 
     @override
     def forward(self, tensordict: TensorDictBase, **options: Any) -> TensorDictBase:
-        """Write ``advantage`` and ``value_target`` [*B, T, 1]; arguments as in TorchRL."""
+        """Write ``advantage`` and ``value_target`` [..., T, 1]; arguments as in TorchRL."""
         reward, seconds = ("next", self.tensor_keys.reward), self.tensor_keys.steps_to_next_obs
         return tensordict.update(super().forward(self._by_duration(tensordict), **options).exclude(reward, seconds))
 

@@ -43,7 +43,7 @@ def orbit_samples() -> str:
     ]
     everywhere, worst = found["all"], max(away["worst"] for away in found["positions"])
     times = [f"{everywhere['count']:,}", f"{everywhere['rms']:.2f} s", f"{everywhere['worst']:.2f} s"]
-    rows.append(["all", "", f"{worst:,.0f} m", *times])
+    rows.append(["all", "-", f"{worst:,.0f} m", *times])
     return table(["catalog number", "position, rms", "worst", "times compared", "rms", "worst"], rows)
 
 

@@ -26,7 +26,7 @@ UNLISTED |= {
     "bsk_torch.viewer",
     "bsk_torch.tasks",
 }
-UNLISTED |= {"bsk_torch.lab", *(f"bsk_torch.lab.{name}" for name in ("audit", "commands", "risk", "suites"))}
+UNLISTED |= {"bsk_torch.lab", *(f"bsk_torch.lab.{name}" for name in ("agents", "audit", "commands", "risk", "suites"))}
 """Packages without a list of names, with names that another package lists, or that are imported nowhere."""
 
 
