@@ -320,6 +320,8 @@ def test_nothing_is_executed_without_trust(env, tmp_path, monkeypatch):
     ("old", "new"),
     [
         ('"target": "torch.ops.aten.linear.default"', '"target": "torch.os.system"'),
+        ('"target": "torch.ops.aten.linear.default"', '"target": "torch.ops.aten.from_file.default"'),
+        ('"target": "torch.ops.aten.linear.default"', '"target": "torch.ops.aten._unsafe_index_put.default"'),
         ('"expr_str": "Symbol(', "\"expr_str\": \"__import__('os').mkdir('made') or Symbol("),
         ('"expr_str": "Symbol(', '"expr_str": "2**2**2**2**9 + Symbol('),
         ('"name": "observation"', "\"name\": \"observation=__import__('os').mkdir('made')\""),

@@ -56,10 +56,12 @@ class Quantity(TypedDict):
 
 
 class Contract(TypedDict):
-    """Quantities in the order in which a network observes them, and its actions."""
+    """Quantities in the order in which a network observes them, its actions, and names of its inputs and outputs."""
 
     observation: NotRequired[list[Word | Quantity]]
     actions: NotRequired[list[Word | Quantity]]
+    inputs: NotRequired[list[Quantity]]
+    outputs: NotRequired[list[Quantity]]
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,6 @@ def contract_of(path: Path, content: str | bytes | None) -> Contract | None:
     text = content.encode() if isinstance(content, str) else content
     try:
         whole = parse_json(text, dict[str, Any])
-        return parse_json(json.dumps({k: whole[k] for k in ("observation", "actions") if k in whole}).encode(), Contract)
+        return parse_json(json.dumps({k: whole[k] for k in Contract.__annotations__ if k in whole}).encode(), Contract)
     except ValueError as error:
         raise ValueError(f"the contract of {str(path)!r} is damaged: {error}") from error

@@ -14,13 +14,13 @@ import re
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as pytree
 
-from bsk_torch.rl.policies.interface import CONTRACT, Interface, Loaded, contract_of
+from bsk_torch.rl.policies.interface import CONTRACT, Contract, Interface, Loaded, contract_of
 from bsk_torch.untrusted import one_line, parse_json, read_tensors
 
 RETURNED = ("action", "logits")
@@ -109,16 +109,24 @@ def _loaded(interface: Interface, run: Callable[[Sequence[Tensor]], Tensor], siz
 
 # -- torch.export ----------------------------------------------------------------------------------------------------------------
 
+INTERNAL = (
+    "softmax|log_softmax|to_copy|unsafe_view|native_batch_norm_legit(_no_training)?|scaled_dot_product_flash_attention_for_cpu|"
+    "local_scalar_dense|assert_(scalar|tensor_metadata)"
+)
+"""Operators of ATen with a leading underscore that programs may call; others, such as ``_unsafe_index_put``, check no bounds."""
+
 TEXTS = {
-    "target": re.compile(r"torch\.ops\.aten\.\w+\.\w+|_operator\.(add|sub|mul|floordiv|neg|eq|ne|lt|le|gt|ge)"),
+    "target": re.compile(
+        rf"torch\.ops\.aten\.(?!from_file\b)(_({INTERNAL})|(?!_)\w+)\.\w+|_operator\.(add|sub|mul|floordiv|neg|eq|ne|lt|le|gt|ge)"
+    ),
     "expr_str": re.compile(r"(Symbol\('\w+'(, \w+=True)*\)|-?\d+|[ +()-]|\*(?!\*))*"),
     "path_name": re.compile(r"(weight|tensor)_\d+"),
     "type": re.compile(r"builtins\.(tuple|list|dict)|cpu|cuda"),
     "context": re.compile(r'null|\[("\w*"(, "\w*")*)?\]'),
     "": re.compile(r"[\w.+:-]*"),
 }
-"""Texts in the program: the functions that it may call, sizes, which sympy evaluates as Python, names of files, types of nested
-arguments; and all others, some of which torch writes into Python code."""
+"""Texts in the program: the functions that it may call (``from_file`` writes files), sizes, which sympy evaluates as Python,
+names of files, types of nested arguments; and all others, some of which torch writes into Python code."""
 
 EMPTY: dict[str, object] = {"metadata": {}, "guards_code": []}
 """Entries that torch shows, or runs as checks, and the program does not need."""
@@ -205,15 +213,15 @@ def read_exported(path: Path) -> Loaded:
             f"{str(path)!r} is no program of torch.export: {one_line(str(error)) or type(error).__name__}"
         ) from error
     title, inputs = f"the network of {str(path)!r}", program.graph_signature.user_inputs
+    contract = contract_of(path, extra[CONTRACT] or None)
     shapes = {
         node.name: node.meta["val"].shape for node in program.graph.nodes if node.op == "placeholder" and "val" in node.meta
     }
     types = [node.meta["val"].dtype for node in program.graph.nodes if node.op == "placeholder" and node.name in inputs]
-    interface = Interface(
-        title, {name: _length(shapes[name]) for name in inputs}, contract=contract_of(path, extra[CONTRACT] or None)
-    )
+    lengths = [_length(shapes[name]) for name in inputs]
+    interface = Interface(title, dict(zip(_named(inputs, contract, "inputs"), lengths, strict=True)), contract=contract)
     outputs = _names_of(program.call_spec.out_spec, program.graph_signature.user_outputs)
-    number = _returned(title, outputs)
+    number = _returned(title, _named(outputs, contract, "outputs"))
 
     def run(parts: Sequence[Tensor]) -> Tensor:
         given = [part.to("cpu", kind) for part, kind in zip(parts, types, strict=True)]
@@ -222,6 +230,12 @@ def read_exported(path: Path) -> Loaded:
 
     sizes = {shapes[name][0] for name in inputs if isinstance(shapes[name][0], int)}
     return _loaded(interface, run, sizes, f"torch {torch.__version__}")
+
+
+def _named(names: Sequence[str], contract: Contract | None, part: Literal["inputs", "outputs"]) -> list[str]:
+    """Return the names that a contract gives to as many inputs or outputs of a graph; else their own."""
+    named = [quantity["name"] for quantity in (contract or {}).get(part, [])]
+    return named if len(named) == len(names) else list(names)
 
 
 def _names_of(spec: Any, names: Sequence[str]) -> list[str]:

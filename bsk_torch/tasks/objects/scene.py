@@ -32,7 +32,7 @@ from bsk_torch.tasks.objects.candidates import Candidates, Moment, Views, in_ord
 from bsk_torch.tasks.objects.catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
 from bsk_torch.tasks.objects.dyn import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import SpaceToSpaceImagingFSWModel
-from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
+from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch, ObjectStates
 from bsk_torch.tasks.objects.outlook import Outlook, elevation, image_end
 from bsk_torch.tasks.objects.records import RecordBook
 from bsk_torch.vec3 import Vec3
@@ -435,10 +435,7 @@ class RSOTargets(Scenario):
 
     def views(self, satellite: BoundSatellite, candidates: Candidates) -> Views:
         """Return what satellites of a type see of their candidates, [n, k, ...] each."""
-        now = self.fleet.sim_time
-        self._positions()  # which catch up
-        states = self.orbits.states(self._envs(satellite), candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
-        return views(*states, self._moment(satellite))
+        return views(*self._states_of(satellite, candidates), self._moment(satellite))
 
     def outlook(self, satellite: BoundSatellite, candidates: Candidates) -> Outlook:
         """Return what satellites of a type can expect of images of their candidates that they begin now, [n, k] each."""
@@ -449,6 +446,12 @@ class RSOTargets(Scenario):
         light = illumination(end.r_TN_N, Vec3.of(at.r_SN_N.unsqueeze(1)))
         clear = candidates.exists & self._clear(satellite, end.r_TN_N, end.r_BN_N)
         return Outlook(end.duration, elevation(end.r_TN_N, end.r_BN_N), light, clear.double())
+
+    def _states_of(self, satellite: BoundSatellite, candidates: Candidates) -> ObjectStates:
+        """Return the states of the candidates of each satellite of a type, now and one tick ago."""
+        now = self.fleet.sim_time
+        self._positions()  # which catch up
+        return self.orbits.states(self._envs(satellite), candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
 
     @staticmethod
     def _envs(satellite: BoundSatellite) -> Tensor:

@@ -69,6 +69,20 @@ def test_files_of_onnx_and_torch_decide_alike_and_hold_the_contract(exported, ki
                     assert torch.allclose(value.double(), wanted.double(), rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.parametrize("kind", ["mlp", "real", "attention"])
+@pytest.mark.parametrize("file", ["policy.onnx", "policy.pt2"])
+def test_any_command_takes_exported_files_again(exported, kind, file, tmp_path):
+    pytest.importorskip("onnxruntime")
+    policy = exported(kind)
+    export_policy(policy.file, tmp_path, [{".onnx": "onnx", ".pt2": "torch"}[file[6:]]])
+    env = bsk_torch.make(policy.preset, num_envs=8, **policy.options)
+    td = env.reset()
+    loaded, package = bsk_torch.load_policy(tmp_path / file, env), build_policy(read_card(policy.file))
+    assert torch.allclose(
+        decide(loaded, td.clone())["action"].double(), decide(package, td.clone())["action"].double(), atol=1e-5
+    )
+
+
 def test_the_contract_tells_what_each_number_is(exported):
     contract = exported("attention").contracts["agents"]
     quantities = {row["name"]: row for row in contract["observation"]}
