@@ -48,7 +48,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "risk": (
         "bsk_torch.lab.commands.risk:estimate_risk",
-        "Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.",
+        "Estimate the probability of a rare loss, with its interval, and show the ways to it.",
     ),
     "view": ("bsk_torch.viewer.commands:view", "Show an episode in the browser: a preset, a run or a recording."),
     "windows": (

@@ -56,7 +56,7 @@ class Flyer:
         if self.preset not in FLOWN:
             raise ValueError(f"preset {self.preset!r} cannot be flown on Basilisk; {', '.join(FLOWN)} can")
         if self.plans:
-            named_planner(self.policy, self.preset, self.plan).actor(self.environment(1, backend="eager"), "cpu")
+            named_planner(self.policy, self.preset, self.plan).actor(self.environment(1, backend="eager"))
             return
         if self.policy in BASELINES:
             self.pilot(())
@@ -105,7 +105,7 @@ def random_action(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Te
 
 def planner_pilot(flyer: Flyer, env: SatelliteTasking) -> Pilot:
     """The decisions of a planner in the current state of ``env``, whose episodes it copies."""
-    planner = named_planner(flyer.policy, flyer.preset, flyer.plan).actor(env, "cpu")
+    planner = named_planner(flyer.policy, flyer.preset, flyer.plan).actor(env)
 
     def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.files import POLICY, policy_of_file
 from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.collect import make_collector, prepared, start_worker
@@ -185,7 +186,7 @@ def test_a_lost_actor_of_ray_ends_a_run_that_can_be_resumed(by_several, tmp_path
 
 def test_processes_share_out_the_episodes_of_one(tmp_path):
     whole = prepared(TINY.make_env(), TINY, None)
-    parts = [start_worker(TINY, first, 2, None) for first in (0, 2)]
+    parts = [start_worker(TINY, first, 2, None, PRESETS[TINY.preset]) for first in (0, 2)]
     action = torch.tensor([0, 1, 0, 1])
     expected = whole.step(whole.reset().set("action", action))["next"]
     found = [env.step(env.reset().set("action", some))["next"] for env, some in zip(parts, action.split(2), strict=True)]

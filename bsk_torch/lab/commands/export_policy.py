@@ -26,7 +26,7 @@ def export_policy(
 ) -> None:
     """Export a trained policy for flight software and other programs: network, normalizer, mask and choice of the action.
 
-    A contract, as JSON and as a page, has the names, units, frames and ranges of all numbers, and a table of recorded decisions.
+    A contract, as JSON and as a page, has the names, units, frames and bounds of all numbers, and a table of recorded decisions.
 
     Examples:
         bsk-torch export-policy runs/scan --onnx --out exported

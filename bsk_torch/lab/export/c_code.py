@@ -143,7 +143,7 @@ def attention(graph: PolicyGraph, network: SetActor, record: Record) -> tuple[di
     for name in ("own", "context", "row", "mix"):
         arrays += linear(name, getattr(encoder, name))
     arrays += [("norm_weight", encoder.norm.weight), ("norm_bias", encoder.norm.bias), *linear("image", network.image)]
-    nothing = [("other_weight", torch.zeros(0)), ("other_bias", torch.zeros(0))]
+    nothing = [("other_weight", torch.zeros(0, dtype=torch.float32)), ("other_bias", torch.zeros(0, dtype=torch.float32))]
     arrays += nothing if network.other is None else linear("other", network.other)
     lists = []
     for k, block in enumerate(encoder.blocks):
@@ -186,7 +186,7 @@ def masked_act(only: Sequence[Only]) -> str:
 def real_act(graph: PolicyGraph) -> str:
     """Return the function that computes real actions."""
     middle, reach = (table(name, values) for name, values in (("middle", graph.middle), ("reach", graph.reach)))
-    edge = literal(float(torch.tensor(1.0 - 1e-6)))
+    edge = literal(float(torch.tensor(1.0 - 1e-6, dtype=torch.float32)))
     body = (
         "    (void)mask;\n    for (int j = 0; j < BSK_POLICY_OUT; ++j) {\n        const float y = tanhf(out[j]);\n"
         f"        out[j] = (y < -{edge} ? -{edge} : y > {edge} ? {edge} : y) * reach[j] + middle[j];\n    }}\n    return 0;\n"
@@ -198,14 +198,14 @@ def recorded(graph: PolicyGraph, record: Record) -> str:
     """Return the recorded decisions as arrays."""
     action, n = record.outputs["action"], len(record)
     expected = action if graph.is_real else record.outputs["logits"]
-    scale = 2.0 * graph.reach if graph.is_real else torch.ones(expected.shape[-1])
-    mask = torch.ones(n, 1) if graph.is_real else record.inputs[MASK]
+    scale = 2.0 * graph.reach if graph.is_real else torch.ones(expected.shape[-1], dtype=torch.float32)
+    mask = torch.ones(n, 1, dtype=torch.float32) if graph.is_real else record.inputs[MASK]
     return "".join(
         [
             f"#define RECORDED {n}\n#define TOLERANCE {literal(TOLERANCE)}\n",
             table("observation", record.vectors()),
             table("mask", mask, "unsigned char"),
-            table("action", torch.zeros(n) if graph.is_real else action, "int"),
+            table("action", torch.zeros(n, dtype=torch.float32) if graph.is_real else action, "int"),
             table("expected", expected),
             table("scale", scale),
         ]

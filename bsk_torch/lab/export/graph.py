@@ -45,7 +45,7 @@ class Standard(nn.Module):
 
     def limits(self) -> Tensor:
         """Return the observations below and above which features are clipped, [2, F] float64."""
-        ends = self.mean.double() + torch.tensor([[-LARGEST], [LARGEST]]) * self.deviation.double()
+        ends = self.mean.double() + torch.tensor([[-LARGEST], [LARGEST]], dtype=torch.float64) * self.deviation.double()
         return ends.sign() * torch.expm1(ends.abs())
 
 

@@ -76,7 +76,7 @@ def recorded(
     records = {}
     for name, parts in asked.items():
         rows = cast(TensorDictBase, torch.cat(parts))
-        some = rows[torch.linspace(0, len(rows) - 1, min(decisions, len(rows))).long()]
+        some = rows[torch.linspace(0, len(rows) - 1, min(decisions, len(rows)), dtype=torch.float32).long()]
         inputs = {path: some[path] for path in graphs[name].paths}
         outputs = dict(zip(graphs[name].outputs, graphs[name](*inputs.values()), strict=True))
         if not graphs[name].only and not torch.allclose(outputs["action"], some["action"], rtol=0.0, atol=1e-5):

@@ -158,6 +158,8 @@ def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[bool, Tensor, Te
     targets, aims = targets_of(env, row), torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
     in_orbit, offered, r_P = targets.places == "orbit", getattr(env.scenario, "available", None), targets.r
     imaged = env.rewarder.recorded(row).marks.get("done")
+    if imaged is not None and len(imaged) != len(r_P):  # of another scenario of several
+        imaged = None
     if in_orbit:
         first = env.fleet.simulators[0]
         r_P = r_P @ first.world.PN[row * first.count].cpu().mT
