@@ -46,3 +46,5 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
         return load_policy(base, env)
     except FileNotFoundError as error:
         raise ValueError(f"base={str(base)!r} is no policy; {nearest(str(base), BASELINES)}") from error
+    except ValueError as error:
+        raise ValueError(f"base={str(base)!r}: {error}") from error
