@@ -43,7 +43,7 @@ def import_object(text: str, title: str = "") -> Any:
             f"{label} cannot be imported: another module, {loaded.__file__}, has the name {file.stem!r}; rename the file"
         )
     if not hasattr(loaded, name):
-        names = [key for key, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        names = [key for key in vars(loaded) if not key.startswith("_")]
         raise ValueError(f"{label} cannot be imported: {module} has no {name!r}; {nearest(name, names)}")
     return getattr(loaded, name)
 

@@ -152,7 +152,7 @@ benchmarks/soak.py --cases NadirScan-v1 --scale 0.0004
   compiled: \| NadirScan-v1 \| 4,096 \| [\d,]+ \| \d+ \| [\d,.]+ \| [\d.]+ \| 0 \|
 benchmarks/speedrun.py --threshold rule+-9 --seeds 0 --frames 32 --every 16 --episodes 2 --screened 2 --out r.json
     --figure r.png --settings num_envs=2 rollout=8 options.time_limit=300
-  compiled: \| NadirScan-v1 \| rule\+-9 \| recipe num_envs=2 .* \| 1 of 1 \| [\d.]+ \| [\d.]+ \| 16 \|
+  compiled: \| NadirScan-v1 \| rule\+-9 \| recipe num_envs=2 .* \| 1 of 1 \| [-\d.]+ \+- [\d.]+ \| [\d.]+ \| [\d.]+ \| 16 \|
 benchmarks/startup.py --batches 1 --dtypes float64 --warm 0 --backend eager
   compiled: \| scan \| 1 \| float64 \| nothing \| [\d.]+ \|
 benchmarks/state.py --tasks scan --rows 3 --rounds 1 --steps 2

@@ -282,7 +282,7 @@ def test_damaged_files_are_named(env, tmp_path):
         refusal(load("weights.pt"), ValueError, "weights.pt", "module:function"),
         refusal(load("nowhere.zip"), FileNotFoundError, "nowhere.zip"),
         refusal(lambda: bsk_torch.load_policy("plan:rolout", env), ValueError, "rolout", "plan:rollout"),
-        refusal(lambda: bsk_torch.load_policy("rull", env), FileNotFoundError, "rull"),
+        refusal(lambda: bsk_torch.load_policy("rull", env), ValueError, "'rull'", "'rule'"),
     )
 
 

@@ -202,10 +202,10 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
         trust: Whether code in files may be executed.
 
     Raises:
-        FileNotFoundError: If there is no such file, and the name is none of the above.
+        FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If a package is missing that reads the file.
         UntrustedError: Unless ``trust``, for a file with code; the message names what would run.
-        ValueError: For a module that cannot be imported, a damaged file, or a policy with other observations or actions.
+        ValueError: For an unknown rule, a module that cannot be imported, a damaged file, or a policy with other observations or actions.
     """
     where, name = "this environment", str(source)
     if name in RULES:
@@ -217,6 +217,9 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
         if not is_policy(named):
             raise ValueError(f"{name} is no policy but a function of a preset and make, for commands; call it in your program")
         return shared(named, env)
+    path = Path(source)
+    if path.name == name and not path.suffix and not path.exists():
+        raise ValueError(f"{name!r} is neither a rule nor a file; {nearest(name, RULES)}")
     return shared(read_policy(source, trust).fit(env, where), env)
 
 
