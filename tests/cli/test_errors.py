@@ -99,7 +99,6 @@ REFUSALS: list[tuple[str, int, list[str]]] = [
     ("eval file", 1, ["'file' is no file of a policy"]),
     ("explain random --starts 3:1", 1, ["--starts '3:1' names no episode"]),
     ("explain random --out empty", 1, ["'empty' is a folder"]),
-    ("explain plan:rollout", 1, ["'plan:rollout' is a planner"]),
     ("report file", 1, ["there is no folder 'file'"]),
     ("report empty", 1, ["'empty' has no config.yaml"]),
     ("schedule NadirScan-v2", 1, ["did you mean 'NadirScan-v1'"]),
