@@ -205,7 +205,8 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If a package is missing that reads the file.
         UntrustedError: Unless ``trust``, for a file with code; the message names what would run.
-        ValueError: For an unknown rule, a module that cannot be imported, a damaged file, or a policy with other observations or actions.
+        ValueError: For an unknown rule, a module that cannot be imported, a damaged file, or a policy with other observations or
+            actions.
     """
     where, name = "this environment", str(source)
     if name in RULES:
