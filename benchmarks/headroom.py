@@ -29,7 +29,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from bsk_torch.cli.names import PREFIX
+from bsk_torch._listed import PREFIX
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.lab.commands.entrants import entrant_of

@@ -162,6 +162,9 @@ LISTED: dict[str, Listed] = {
 RULES = tuple(dict.fromkeys(("random", *(rule for preset in LISTED.values() for rule in preset.rules))))
 """Names of :data:`bsk_torch.rl.policies.shared_policy.RULES`."""
 
+PREFIX = "plan:"
+"""What the names of planners begin with."""
+
 PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.lab.planners.named:named_planner")
 """Names of :data:`bsk_torch.lab.planners.names.PLANNERS`, and the function by which the command line makes each of them."""
 

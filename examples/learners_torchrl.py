@@ -62,12 +62,12 @@ NEVER = -1e9
 
 
 def network(
-    seen: FeatureNormaliser, outputs: int, options: argparse.Namespace
+    normalizer: FeatureNormaliser, outputs: int, options: argparse.Namespace
 ) -> nn.Sequential:
     """Return a network [N, F] -> [N, outputs] on normalized observations."""
-    width, cells = len(seen.mean), [options.hidden] * 2
+    width, cells = len(normalizer.mean), [options.hidden] * 2
     return nn.Sequential(
-        seen, MLP(width, outputs, num_cells=cells, activation_class=nn.Tanh)
+        normalizer, MLP(width, outputs, num_cells=cells, activation_class=nn.Tanh)
     )
 
 
@@ -94,8 +94,8 @@ def slow_down(
     optimizer: torch.optim.Optimizer, done: int, options: argparse.Namespace
 ) -> None:
     """Set the learning rate after a number of decisions."""
-    left = max(LEAST, 1.0 - done / options.steps)
-    optimizer.param_groups[0]["lr"] = options.learning_rate * left
+    remaining = max(LEAST, 1.0 - done / options.steps)
+    optimizer.param_groups[0]["lr"] = options.learning_rate * remaining
 
 
 def collect(
@@ -124,9 +124,9 @@ def collect(
 
 def ppo(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleBase:
     """Train by proximal policy optimization."""
-    seen = FeatureNormaliser(env.observation_spec["observation"].shape[-1])
-    actor = masked_actor(network(seen, env.action_spec.space.n, options))
-    critic = ValueOperator(network(seen, 1, options), in_keys=["observation"])
+    normalizer = FeatureNormaliser(env.observation_spec["observation"].shape[-1])
+    actor = masked_actor(network(normalizer, env.action_spec.space.n, options))
+    critic = ValueOperator(network(normalizer, 1, options), in_keys=["observation"])
     loss = ClipPPOLoss(
         actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normalize_advantage=True
     )
@@ -141,7 +141,7 @@ def ppo(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleB
             for rows in torch.randperm(len(decisions)).split(options.batch_size):
                 descend(optimizer, loss(decisions[rows]))
         # only now: the stored probabilities use the old statistics
-        seen.update(decisions["observation"])
+        normalizer.update(decisions["observation"])
     return actor
 
 
@@ -149,13 +149,13 @@ def ppo(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleB
 
 
 def replay(
-    env: SatelliteTasking, seen: FeatureNormaliser, options: argparse.Namespace
+    env: SatelliteTasking, normalizer: FeatureNormaliser, options: argparse.Namespace
 ) -> TensorDictReplayBuffer:
     """Return a buffer with random decisions, of which the networks learn mean and deviation of observations."""
     storage = LazyTensorStorage(options.buffer)
     buffer = TensorDictReplayBuffer(storage=storage, batch_size=options.batch_size)
     for batch in collect(env, None, options.rollout, options):
-        seen.update(batch["observation"])
+        normalizer.update(batch["observation"])
         buffer.extend(kept(batch, options))
     return buffer
 
@@ -193,13 +193,13 @@ def learn(
 
 def dqn(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleBase:
     """Train by double deep Q-learning."""
-    seen = FeatureNormaliser(env.observation_spec["observation"].shape[-1])
+    normalizer = FeatureNormaliser(env.observation_spec["observation"].shape[-1])
     buffer, spec = (
-        replay(env, seen, options),
+        replay(env, normalizer, options),
         env.full_action_spec_unbatched["action"],
     )
     actor = QValueActor(
-        network(seen, spec.space.n, options),
+        network(normalizer, spec.space.n, options),
         in_keys=["observation"],
         spec=spec,
         action_mask_key="action_mask",
@@ -218,11 +218,11 @@ def dqn(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleB
 
 def sac(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleBase:
     """Train by soft actor-critic of discrete actions."""
-    seen = FeatureNormaliser(env.observation_spec["observation"].shape[-1])
-    buffer, n_actions = replay(env, seen, options), env.action_spec.space.n
-    actor = masked_actor(network(seen, n_actions, options))
+    normalizer = FeatureNormaliser(env.observation_spec["observation"].shape[-1])
+    buffer, n_actions = replay(env, normalizer, options), env.action_spec.space.n
+    actor = masked_actor(network(normalizer, n_actions, options))
     critic = TensorDictModule(
-        network(seen, n_actions, options), ["observation"], ["action_value"]
+        network(normalizer, n_actions, options), ["observation"], ["action_value"]
     )
     loss = DiscreteSACLoss(
         actor,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bsk_torch._listed import PREFIX
 from bsk_torch.cli.declaration import (
     EnvironmentOptions,
     JsonFile,
@@ -20,7 +21,6 @@ from bsk_torch.cli.declaration import (
     Trust,
     flag,
 )
-from bsk_torch.cli.names import PREFIX
 from bsk_torch.cli.shared import check_writable, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, refusing, working
 

@@ -6,16 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bsk_torch._listed import LISTED, PLANNERS, RULES, makings, no_policy, unlisted
+from bsk_torch._listed import LISTED, PLANNERS, PREFIX, RULES, makings, no_policy, unlisted
 from bsk_torch._rooms import absent_room, resolve
 from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.sim.names import nearest
 
 PRETRAINED = "pretrained"
 """Name of the policy that comes with the package."""
-
-PREFIX = "plan:"
-"""What the names of planners begin with."""
 
 FIRST = next(iter(LISTED))
 """The environment unless the command line or a run names another."""

@@ -10,8 +10,8 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 from typing_extensions import override
 
-from bsk_torch._listed import PLANNERS
-from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy, resolved
+from bsk_torch._listed import PLANNERS, PREFIX
+from bsk_torch.cli.names import FIRST, PRETRAINED, check_policy, resolved
 from bsk_torch.cli.shared import environment, made
 from bsk_torch.cli.terminal import Failure, fail, refusing
 from bsk_torch.env import Tasking

@@ -93,7 +93,7 @@ REFUSALS: list[tuple[str, int, list[str]]] = [
     ("eval random --shield os:getcwd", 1, ["must take the observed columns"]),
     ("eval random --shield save", 1, ["did you mean 'safe'?"]),
     ("eval random --shield nowhere:rule", 1, ["No module named 'nowhere'"]),
-    ("eval random --shield math:sinn", 1, ["'math' has no function 'sinn'; did you mean 'sin'"]),
+    ("eval random --shield math:sinn", 1, ["math has no 'sinn'; did you mean 'sin'"]),
     ("eval random random", 1, ["name each once"]),
     ("eval empty", 1, ["there is no policy 'empty/policy.pt'"]),
     ("eval file", 1, ["'file' is no file of a policy"]),

@@ -40,7 +40,7 @@ def test_figures_are_those_that_were_measured():
     text = " ".join(README.read_text().split())
     ratios = {row["case"]: row["ratio"] for name in ("vs_basilisk", "vs_basilisk_imaging") for row in result(name)["rows"]}
     quoted = re.search(
-        r"simulated ([\d,]+) times .* imaging satellites ([\d,]+) times as fast .*?; a single scanning satellite is ([\d.]+) times",
+        r"simulated ([\d,]+) times .* imaging satellites ([\d,]+) times as fast .*?; a single scanning satellite is ([\d.]+)",
         text,
     )
     assert quoted.groups() == (f"{ratios['4096']:,.0f}", f"{ratios['imaging-1k-1024']:,.0f}", f"{ratios['1']:.1f}")

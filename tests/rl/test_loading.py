@@ -1,4 +1,4 @@
-"""One loader for policies of all libraries: what they choose, what is refused, and before what is executed."""
+"""One loader for policies of all libraries: their actions, and errors before code in files is executed."""
 
 import json
 import os
@@ -197,7 +197,7 @@ def test_checkpoints_of_rllib(env, docking, tmp_path):
     )
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------------------------------------------------
 
 
 @needs_onnx

@@ -22,4 +22,4 @@ def mcp(preset: Preset, seeds: Seeds = "0", option: Options = None, *, options: 
     env = made(preset, 1, {"env_ids": [0], **options, **preset_options(option)})
     with refusing(why=f"{preset} has no tools: "):
         game = server.Game(env, cases)
-    server.serve(game, f"{preset}: {LISTED[preset].task}").run("stdio")
+    server.serve(game, f"{preset}: {LISTED[preset].task}" if preset in LISTED else preset).run("stdio")

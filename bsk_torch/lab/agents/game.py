@@ -43,21 +43,21 @@ class Game:
         self.env, self.seeds, self.branches = env, seeds, env.like(MOST_PLANS)
         self.names: list[str] = list(env.satellite.action_description)
         self.results: list[dict[str, Any]] = []
-        self.seen: TensorDictBase | None
+        self.situation: TensorDictBase | None
         self._begin()
-        assert self.seen is not None
-        if self.seen["observation"].ndim != 2:
+        assert self.situation is not None
+        if self.situation["observation"].ndim != 2:
             raise ValueError("tools need a satellite that observes a vector")
 
     @torch.no_grad()
     def _begin(self) -> None:
         self.decisions = self.looks = 0
         case = len(self.results)
-        self.seen = start_episodes(self.env, [self.seeds[case]]) if case < len(self.seeds) else None
+        self.situation = start_episodes(self.env, [self.seeds[case]]) if case < len(self.seeds) else None
 
     def observe(self) -> dict[str, Any]:
         """Return the situation of the present case, observations by name; where all cases have ended, only that they have."""
-        if self.seen is None:
+        if self.situation is None:
             return {"finished": True, "cases": len(self.seeds)}
         limit = float(self.env.time_limit[0])
         return {
@@ -68,21 +68,21 @@ class Game:
             "time_s": shown(self.env.fleet.sim_time[0]),
             "time_limit_s": shown(limit) if limit < float("inf") else None,
             "return": shown(self.env.returns[0]),
-            "observation": self._observation(self.seen, 0),
+            "observation": self._observation(self.situation, 0),
         }
 
-    def _observation(self, seen: TensorDictBase, row: int) -> dict[str, float]:
+    def _observation(self, situation: TensorDictBase, row: int) -> dict[str, float]:
         names = self.env.satellite.observation_description
-        return {name: shown(value) for name, value in zip(names, seen["observation"][row].tolist(), strict=True)}
+        return {name: shown(value) for name, value in zip(names, situation["observation"][row].tolist(), strict=True)}
 
     def actions(self) -> dict[str, bool]:
         """Return all actions by name, and whether they are legal now."""
         return dict(zip(self.names, self._running()["action_mask"][0].tolist(), strict=True))
 
     def _running(self) -> TensorDictBase:
-        if self.seen is None:
+        if self.situation is None:
             raise ValueError("all cases have ended; report tells their results")
-        return self.seen
+        return self.situation
 
     def _numbers(self, actions: Sequence[str]) -> list[int]:
         for action in actions:
@@ -106,15 +106,15 @@ class Game:
         begin = self.env.fleet.sim_time[0].clone()
         legal = self._running()["action_mask"].expand(n, -1)
         rewards, taken = torch.zeros(n, dtype=torch.float64), torch.zeros(n, dtype=torch.int64)
-        going, seen, ended = torch.ones(n, dtype=torch.bool), None, torch.zeros(n, dtype=torch.bool)
+        going, futures, ended = torch.ones(n, dtype=torch.bool), None, torch.zeros(n, dtype=torch.bool)
         for column in table.T:
             going = going & ~ended & (column >= 0)
             going = going & legal.gather(1, column.clamp(min=0).unsqueeze(1)).squeeze(1)
-            seen = branches.play(column.clamp(min=0), going)
-            rewards += torch.where(going, seen["reward"].squeeze(-1).double(), 0.0)
+            futures = branches.play(column.clamp(min=0), going)
+            rewards += torch.where(going, futures["reward"].squeeze(-1).double(), 0.0)
             taken += going
-            ended, legal = ended | (going & seen["done"].squeeze(-1)), seen["action_mask"]
-        assert seen is not None
+            ended, legal = ended | (going & futures["done"].squeeze(-1)), futures["action_mask"]
+        assert futures is not None
         return [
             {
                 "plan": list(plan),
@@ -123,7 +123,7 @@ class Game:
                 "seconds": shown(branches.fleet.sim_time[k] - begin),
                 "alive": not bool(branches.dead[k]),
                 "ended": bool(ended[k]),
-                "observation": self._observation(seen, k),
+                "observation": self._observation(futures, k),
             }
             for k, plan in enumerate(plans)
         ]
@@ -139,10 +139,10 @@ class Game:
         for k, number in enumerate(numbers):
             if not bool(self._running()["action_mask"][0, number]):
                 raise ValueError(f"action {actions[k]!r}, number {k + 1}, is illegal now; {k} actions have been taken")
-            self.seen = self.env.play(torch.tensor([number]))
+            self.situation = self.env.play(torch.tensor([number]))
             self.decisions += 1
-            rewards += float(self.seen["reward"])
-            if bool(self.seen["done"]):
+            rewards += float(self.situation["reward"])
+            if bool(self.situation["done"]):
                 return self._outcome(k + 1, rewards, begin) | {"ended": True, "result": self._end()}
         return self._outcome(len(numbers), rewards, begin) | {"ended": False}
 

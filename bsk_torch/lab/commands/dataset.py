@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from bsk_torch._listed import makings
+from bsk_torch._listed import PREFIX, makings
 from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, Options, Preset, Trust, flag
-from bsk_torch.cli.names import PREFIX, PRETRAINED
+from bsk_torch.cli.names import PRETRAINED
 from bsk_torch.cli.shared import environment, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, refusing, working
 from bsk_torch.tables import print_table

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bsk_torch import __version__
-from bsk_torch._listed import makings
-from bsk_torch.cli.names import PREFIX, PRETRAINED
+from bsk_torch._listed import PREFIX, makings
+from bsk_torch.cli.names import PRETRAINED
 from bsk_torch.cli.policies import NamedPolicy, entrant_of_user, named_policy
 from bsk_torch.cli.shared import preset_options
 from bsk_torch.cli.terminal import fail, print_message

@@ -173,7 +173,7 @@ def quantities_of(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> l
     result = []
     for place in places_of(graph, record, view):
         first, width, rows, stride = (place[name] for name in ("vector", "width", "rows", "row_stride"))
-        seen = vectors[:, [first + k * stride + j for k in range(rows) for j in range(width)]]
+        recorded = vectors[:, [first + k * stride + j for k in range(rows) for j in range(width)]]
         clipped = limits[:, first : first + width]
         meaning, divisor = described(view, place["name"])
         unit, plain = UNIT.search(meaning), place["name"].split(".")[-1].removesuffix("_normd")
@@ -184,7 +184,7 @@ def quantities_of(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> l
                 "unit": unit.group(1) if unit else None,
                 "frame": FRAMES.get(plain.rpartition("_")[2]) if width == 3 else None,
                 "divisor": divisor,
-                "recorded": [number(seen.min()), number(seen.max())],
+                "recorded": [number(recorded.min()), number(recorded.max())],
                 "clipped": [number(clipped[0].min()), number(clipped[1].max())] if clipped.numel() else None,
             }
         )

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bsk_torch.cli.names import PREFIX, PRETRAINED
+from bsk_torch._listed import PREFIX
+from bsk_torch.cli.names import PRETRAINED
 from bsk_torch.files import write_file
 from bsk_torch.lab.export.c_code import c_files
 from bsk_torch.lab.export.contract import contract_of, page, places_of

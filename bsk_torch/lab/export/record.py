@@ -60,7 +60,7 @@ def recorded(
         asked[name].append(decided.select(*graphs[name].paths, "action").clone())
 
     hooks = [
-        policy.register_forward_hook(lambda module, given, decided, name=name: keep(name, decided))
+        policy.register_forward_hook(lambda module, inputs, decided, name=name: keep(name, decided))
         for name, policy in policies.items()
     ]
     seconds, n = [], env.batch_size[0]

@@ -50,19 +50,19 @@ def conditions(rule: Rule, name: str, places: Sequence[Mapping[str, Any]], actio
             table += [("battery_charge_fraction", False, "<", low, "action_charge")]
         case _:
             raise ValueError(f"shield={name!r} is a function of Python, which is not exported; 'safe' and 'imager' are")
-    found = []
+    asked = []
     for quantity, absolute, sign, threshold, action in table:
-        seen = [place for place in places if place["name"].split(".")[-1] == quantity]
-        columns = tuple(place["vector"] + j for place in seen for j in range(place["width"]))
+        matches = [place for place in places if place["name"].split(".")[-1] == quantity]
+        columns = tuple(place["vector"] + j for place in matches for j in range(place["width"]))
         for what, exists in ((quantity, bool(columns)), (action, action in actions)):
             if not exists:
                 raise ValueError(f"shield={name!r} needs {what!r}, which the environment does not have")
-        found.append(Only(columns, absolute, sign, threshold, actions.index(action)))
-    return tuple(found)
+        asked.append(Only(columns, absolute, sign, threshold, actions.index(action)))
+    return tuple(asked)
 
 
 def narrowed(only: Sequence[Only], observed: Tensor, legal: Tensor) -> Tensor:
-    """Return the mask [N, A] that is left of ``legal`` for observed numbers [N, D]: all of it where nothing would be left."""
+    """Return the actions of ``legal`` [N, A] that remain for observed numbers [N, D]: all where none would remain."""
     allowed, earlier = torch.ones_like(legal), torch.zeros_like(legal[:, 0])
     numbers = torch.arange(legal.shape[-1], device=legal.device)
     for one in only:
@@ -71,5 +71,5 @@ def narrowed(only: Sequence[Only], observed: Tensor, legal: Tensor) -> Tensor:
         holds = (values > one.threshold if one.sign == ">" else values < one.threshold).any(-1) & ~earlier
         allowed = allowed & (~holds.unsqueeze(-1) | (numbers == one.action))
         earlier = earlier | holds
-    left = legal & allowed
-    return torch.where(left.any(-1, keepdim=True), left, legal)
+    remaining = legal & allowed
+    return torch.where(remaining.any(-1, keepdim=True), remaining, legal)

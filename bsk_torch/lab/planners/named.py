@@ -9,7 +9,8 @@ from tensordict.nn import TensorDictModuleBase
 from typing_extensions import override
 
 from bsk_torch import __version__
-from bsk_torch.cli.names import FIRST, PREFIX, check_policy
+from bsk_torch._listed import PREFIX
+from bsk_torch.cli.names import FIRST, check_policy
 from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.env import Tasking

@@ -87,7 +87,7 @@ class Interface:
 
         ValueError, naming what is expected and what the environment ``where`` gives, if they differ.
         """
-        satellite, given = view.satellite, lengths(view)
+        satellite, sizes = view.satellite, lengths(view)
         builder, names = form(satellite), list(satellite.action_description or ())
         if self.is_real is not None and self.is_real != (builder is not None):
             kinds = ("chooses one of several actions", "returns real numbers")
@@ -98,12 +98,12 @@ class Interface:
             what = "real numbers" if builder else "actions"
             listed = ", ".join(builder.names if builder else names)
             raise ValueError(f"{self.title} has {self.actions} {what}; {where} has {count}: {listed}")
-        order = self._matched(given, where)
+        order = self._matched(sizes, where)
         for name, key in zip(self.inputs, order, strict=True):
             expected = self.inputs[name]
-            if expected is not None and expected != given[key]:
+            if expected is not None and expected != sizes[key]:
                 listed = f": {', '.join(satellite.observation_description)}" if key == OBSERVATION else ""
-                raise ValueError(f"{self.title} expects {expected} numbers as {name!r}; {where} gives {given[key]}{listed}")
+                raise ValueError(f"{self.title} expects {expected} numbers as {name!r}; {where} gives {sizes[key]}{listed}")
         if self.contract is not None:
             if OBSERVATION in order:
                 observed = satellite.observation_description
@@ -111,27 +111,27 @@ class Interface:
             self._check_names("action", self.contract.get("actions", names), names, where)
         return order
 
-    def _matched(self, given: Mapping[str, int], where: str) -> list[str]:
-        by_name = {name_of(key): key for key in given}
+    def _matched(self, sizes: Mapping[str, int], where: str) -> list[str]:
+        by_name = {name_of(key): key for key in sizes}
         order = [by_name.get(name_of(name)) for name in self.inputs]
-        others = [key for key in given if key != MASK]
+        others = [key for key in sizes if key != MASK]
         if len(others) == 1 and others[0] not in order and order.count(None) == 1:
             order[order.index(None)] = others[0]  # the only input left is the vector, whatever its name
         for name, key in zip(self.inputs, order, strict=True):
             if key is None:
                 raise ValueError(
-                    f"{self.title} observes {', '.join(self.inputs)}; {where} has no {name!r}, but {', '.join(given)}"
+                    f"{self.title} observes {', '.join(self.inputs)}; {where} has no {name!r}, but {', '.join(sizes)}"
                 )
         return [str(key) for key in order]
 
-    def _check_names(self, what: str, expected: Sequence[str | Quantity], given: Sequence[str], where: str) -> None:
+    def _check_names(self, what: str, expected: Sequence[str | Quantity], offered: Sequence[str], where: str) -> None:
         parts: list[Quantity] = [{"name": part} if isinstance(part, str) else part for part in expected]
         wanted = [part["name"].partition("[")[0] for part in parts for _ in range(part.get("width", 1))]
-        for k, (theirs, ours) in enumerate(zip(wanted, (name.partition("[")[0] for name in given), strict=False)):
+        for k, (theirs, ours) in enumerate(zip(wanted, (name.partition("[")[0] for name in offered), strict=False)):
             if theirs != ours:
                 raise ValueError(f"{self.title} expects {what} {k} to be {theirs!r}; in {where}, it is {ours!r}")
-        if len(wanted) != len(given):
-            raise ValueError(f"{self.title} expects {len(wanted)} of each {what} by name; {where} has {len(given)}")
+        if len(wanted) != len(offered):
+            raise ValueError(f"{self.title} expects {len(wanted)} of each {what} by name; {where} has {len(offered)}")
 
     def policy(self, env: Tasking, where: str, network: Callable[[list[Tensor], Tensor | None], object]) -> TensorDictModuleBase:
         """Return the policy of a satellite of ``env``, tried once.
@@ -146,8 +146,8 @@ class Interface:
         order, is_real = self.check(view, where), form(view.satellite) is not None
 
         def choose(observation: Any, action_mask: Tensor | None = None) -> object:
-            given = leaves(observation, action_mask)
-            return network([given[name] for name in order], action_mask)
+            parts = leaves(observation, action_mask)
+            return network([parts[name] for name in order], action_mask)
 
         policy = FunctionPolicy(choose, view.satellite, not is_real, self.title)
         self.try_policy(policy, env, where)

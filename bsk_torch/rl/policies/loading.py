@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from bsk_torch import __version__
-from bsk_torch._listed import PLANNERS
+from bsk_torch._listed import PLANNERS, PREFIX
 from bsk_torch._rooms import resolve
 from bsk_torch.env import Tasking
 from bsk_torch.own_objects import import_object
@@ -23,9 +23,6 @@ from bsk_torch.rl.policies.interface import Loaded
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared, shared_baselines
 from bsk_torch.sim.names import nearest
 from bsk_torch.wrappers.policies import Model
-
-PLAN = "plan:"
-"""What the names of planners begin with."""
 
 OBSERVED = ("observation", "obs")
 """Names of the first argument of functions that are policies themselves."""
@@ -140,7 +137,7 @@ def rule_named(name: str) -> Loaded:
 
 def is_function(name: str) -> bool:
     """Return whether a name is ``module:function`` or ``file.py:function``, and no file."""
-    return ":" in name and not name.startswith(PLAN) and not Path(name).exists()
+    return ":" in name and not name.startswith(PREFIX) and not Path(name).exists()
 
 
 def function_named(name: str) -> Any:
@@ -211,7 +208,7 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
     where, name = "this environment", str(source)
     if name in RULES:
         return shared(rule_named(name).fit(env, where), env)
-    if name.startswith(PLAN):
+    if name.startswith(PREFIX):
         return _planned(name, env, trust)
     if is_function(name):
         named = function_named(name)
@@ -226,9 +223,9 @@ def load_policy(source: Path | str, env: Tasking, *, trust: bool = False) -> Ten
 
 def _planned(name: str, env: Tasking, trust: bool) -> TensorDictModuleBase:
     """Return the planner ``plan:NAME,OPTION=VALUE,...``."""
-    plain, *texts = name.removeprefix(PLAN).split(",")
+    plain, *texts = name.removeprefix(PREFIX).split(",")
     if plain not in PLANNERS:
-        raise ValueError(f"{name!r} is not a planner; {nearest(PLAN + plain, [PLAN + one for one in PLANNERS])}")
+        raise ValueError(f"{name!r} is not a planner; {nearest(PREFIX + plain, [PREFIX + one for one in PLANNERS])}")
     options: dict[str, Any] = resolve("bsk_torch.lab.planners.names:options_in")(plain, texts)
     base = {"base": load_policy(str(options["base"]), env, trust=trust)} if "base" in options else {}
     made: TensorDictModuleBase = resolve("bsk_torch.lab.planners.names:planner")(plain, env, **options | base)

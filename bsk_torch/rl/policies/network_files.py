@@ -224,8 +224,8 @@ def read_exported(path: Path) -> Loaded:
     number = _returned(title, _named(outputs, contract, "outputs"))
 
     def run(parts: Sequence[Tensor]) -> Tensor:
-        given = [part.to("cpu", kind) for part, kind in zip(parts, types, strict=True)]
-        positional, named = pytree.tree_unflatten(given, program.call_spec.in_spec)
+        tensors = [part.to("cpu", kind) for part, kind in zip(parts, types, strict=True)]
+        positional, named = pytree.tree_unflatten(tensors, program.call_spec.in_spec)
         return pytree.tree_leaves(module(*positional, **named))[number]
 
     sizes = {shapes[name][0] for name in inputs if isinstance(shapes[name][0], int)}

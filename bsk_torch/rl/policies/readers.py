@@ -131,7 +131,7 @@ def _quantities(
     top, source = entry.unique_name, entry.observation if isinstance(entry, Noisy) else entry
     norms = dict(map(_named, getattr(source, "entries", ())))
     alone = getattr(source, "norm", None)
-    found: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
+    quantities: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
     if isinstance(source, CandidateObservation) and source.as_set:
         return _of_set(source, top, norms, own)
     n = source.n_ahead_observe if isinstance(source, CandidateObservation) else 1
@@ -142,8 +142,8 @@ def _quantities(
         shape = (() if n == 1 else (n,)) + (() if width == 1 else (width,))
         norm = norms.get(label, (1.0 if alone is None else alone) if not rest else 1.0)
         name = label.removesuffix(NORMD) if label in norms else label
-        found[f"{top}.{name}" if name else top] = columns, shape, norm
-    return found
+        quantities[f"{top}.{name}" if name else top] = columns, shape, norm
+    return quantities
 
 
 def _of_set(
@@ -157,14 +157,14 @@ def _of_set(
         raise ValueError(
             f"{top!r} has {total} columns, not {sum(widths.values())}: a function gives several; read these by column"
         )
-    found: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
+    quantities: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
     at = 0
     for name, width in widths.items():
         columns = [own[row * total + at + k] for row in range(n) for k in range(width)]
         shape = (() if n == 1 else (n,)) + (() if width == 1 else (width,))
-        found[f"{top}.{name.removesuffix(NORMD)}"] = columns, shape, norms[name]
+        quantities[f"{top}.{name.removesuffix(NORMD)}"] = columns, shape, norms[name]
         at += width
-    return found | {f"{top}.mask": (list(own[n * total :]), () if n == 1 else (n,), 1.0)}
+    return quantities | {f"{top}.mask": (list(own[n * total :]), () if n == 1 else (n,), 1.0)}
 
 
 def _named(entry: Any) -> tuple[str, Any]:

@@ -58,17 +58,17 @@ def read_checkpoint(path: Path) -> Loaded:
         raise
     except Exception as error:  # unpickling may raise anything
         raise ValueError(f"{str(path)!r} is no checkpoint of RLlib: {type(error).__name__}: {error}") from error
-    seen, action = module.observation_space, module.action_space
-    parts = dict(seen.spaces) if hasattr(seen, "spaces") else {OBSERVATION: seen}
+    space, action = module.observation_space, module.action_space
+    parts = dict(space.spaces) if hasattr(space, "spaces") else {OBSERVATION: space}
     is_masked = parts.keys() == {OBSERVATIONS, MASK}
     names = {OBSERVATIONS: OBSERVATION} if is_masked else {}
     inputs: dict[str, int | None] = {names.get(name, name): prod(space.shape) for name, space in parts.items()}
     count = int(action.n) if hasattr(action, "n") else prod(action.shape)
     interface = Interface(f"the module {str(path)!r}", inputs, count, not hasattr(action, "n"))
 
-    def act(given: list[Tensor], mask: Tensor | None) -> Tensor:
-        tensors = [part.float().cpu() for part in given]
-        batch = dict(zip(parts, tensors, strict=True)) if hasattr(seen, "spaces") else tensors[0]
+    def act(observed: list[Tensor], mask: Tensor | None) -> Tensor:
+        tensors = [part.float().cpu() for part in observed]
+        batch = dict(zip(parts, tensors, strict=True)) if hasattr(space, "spaces") else tensors[0]
         output = module.forward_inference({Columns.OBS: batch})
         if Columns.ACTION_DIST_INPUTS not in output:
             return torch.as_tensor(output[Columns.ACTIONS])

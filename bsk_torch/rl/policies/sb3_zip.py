@@ -252,11 +252,11 @@ class NormalizedModel(ModelPolicy):
 
 def _predicted(path: Path, model: Any, statistics: Any, env: Tasking, where: str) -> TensorDictModuleBase:
     """Return the policy of a model of the library; ValueError if its spaces are others than those of ``env``."""
-    seen, action = model.observation_space, model.action_space
+    space, action = model.observation_space, model.action_space
     lengths = (
-        {name: prod(box.shape) for name, box in seen.spaces.items()}
-        if hasattr(seen, "spaces")
-        else {OBSERVATION: prod(seen.shape)}
+        {name: prod(box.shape) for name, box in space.spaces.items()}
+        if hasattr(space, "spaces")
+        else {OBSERVATION: prod(space.shape)}
     )
     count = int(action.n) if hasattr(action, "n") else prod(action.shape)
     interface = Interface(f"the model {str(path)!r}", lengths, count, not hasattr(action, "n"))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
@@ -17,6 +16,7 @@ from torch import Tensor
 
 from bsk_torch.act import allow_only
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.own_objects import import_object
 from bsk_torch.rl.rules.baselines import Columns
 from bsk_torch.sim.arguments.values import nearest
 
@@ -103,22 +103,17 @@ def shielded(policy: TensorDictModuleBase, rule: Rule, env: SatelliteTasking) ->
 
 
 def find_rule(name: str) -> Rule:
-    """Return one of :data:`RULES` by name, or a user function, ``"package.module:function"``.
+    """Return one of :data:`RULES` by name, or a user function, ``"package.module:function"`` or ``"file.py:function"``.
 
     ValueError for an unknown rule; the message contains the nearest name.
     """
-    module, colon, function = name.partition(":")
-    if not colon:
+    if ":" not in name:
         if name not in RULES:
             raise ValueError(f"shield={name!r} is no rule; {nearest(name, RULES)}; your own is named package.module:function")
         return RULES[name]
-    try:
-        rule = getattr(import_module(module), function, None)
-    except (ImportError, TypeError, ValueError) as error:  # TypeError: a relative name
-        raise ValueError(f"shield={name!r}: {error}") from error
+    rule = import_object(name, "shield")
     if not callable(rule):
-        functions = [key for key, value in vars(import_module(module)).items() if callable(value)]
-        raise ValueError(f"shield={name!r}: {module!r} has no function {function!r}; {nearest(function, functions)}")
+        raise ValueError(f"shield={name!r} is a {type(rule).__name__}; it must be a function")
     try:
         inspect.signature(rule).bind(None, None)
     except TypeError as error:

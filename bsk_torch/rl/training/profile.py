@@ -17,11 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-import torch
-
 from bsk_torch.rl.training.collect import Batches, make_collector
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.trainer import Training, shut_down
+from bsk_torch.rl.training.trainer import Training, one_thread, shut_down
 
 LEARNING, COLLECTING = "learning: ", "collecting: "
 
@@ -116,17 +114,6 @@ class Profile:
     def part(self, kind: str) -> float:
         """CPU time of a decision in phases of a ``kind``, :data:`LEARNING` or :data:`COLLECTING`, us."""
         return sum(cost for phase, cost in self.spent.items() if phase.startswith(kind))
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch compute in one thread while the context lasts."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _spent(training: Training, batches: Batches, seconds: float) -> tuple[dict[str, float], int]:

@@ -4,8 +4,8 @@ Satellites come from the element sets of the case, and slew as in :mod:`bsk_torc
 and rate stay within the limits of :func:`bsk_torch.tasks.aeossp.fly` for as long as the task wants, between release and due time.
 
 The off-nadir limit of a task is the largest of the satellites with its sensor. Satellites with a smaller one have a minimum
-elevation instead, above which the off-nadir angle is within their limit everywhere on their orbits: it leaves out a few tenths
-of a degree.
+elevation instead, above which the off-nadir angle is within their limit everywhere on their orbits: it leaves out up to a
+degree.
 
 Observation of each satellite: for each of the tasks whose windows close next, weight, opening and closing, length of the look,
 spare time, due time, the angle to it and its direction, and the charge. Actions: look at one of them, or wait for a minute.
@@ -108,8 +108,8 @@ def case_env(case: Case | str | Path, num_envs: int = 1, *, tick: float = TICK, 
         ValueError: For another content of the files.
     """
     case = case if isinstance(case, Case) else read_case(case)
-    given = dict(time_limit=float(case.horizon_s), world_args={"utc_init": case.start.strftime(UTC)}, orbit="sgp4")
-    return _env(case, _imaging_arguments(case, tick), _requests(case), tick, num_envs, given | options)
+    usual = dict(time_limit=float(case.horizon_s), world_args={"utc_init": case.start.strftime(UTC)}, orbit="sgp4")
+    return _env(case, _imaging_arguments(case, tick), _requests(case), tick, num_envs, usual | options)
 
 
 def drawn_case_env(
@@ -149,8 +149,8 @@ def drawn_case_env(
         row["oe"] = rand.Choice(orbits[satellite.sensor])
         del row["sigma_init"], row["omega_init"]
     starts = [(case.start + timedelta(hours=hour)).strftime(UTC) for hour in range(0, 48, 6)]
-    given = dict(time_limit=HOUR * hours, world_args={"utc_init": rand.Choice(starts)})
-    return _env(case, arguments, requests, tick, num_envs, given | options)
+    usual = dict(time_limit=HOUR * hours, world_args={"utc_init": rand.Choice(starts)})
+    return _env(case, arguments, requests, tick, num_envs, usual | options)
 
 
 def _env(
@@ -199,9 +199,9 @@ def _requests(case: Case, weight: object = None, **times: Any) -> scene.Requests
     requests = case.requests
     weights = requests.weight if weight is None else weight
     places = scene.Targets.from_geodetic(requests.latitude, requests.longitude, requests.altitude, weights, list(requests.names))
-    given = dict(release=requests.release_s, due=requests.due_s, duration=requests.duration_s)
+    listed = dict(release=requests.release_s, due=requests.due_s, duration=requests.duration_s)
     limits = {"max_off_nadir": np.radians([_widest(case, sensor) for sensor in requests.sensor])}
-    return scene.Requests(places, **((times or given) | limits), sensors=list(requests.sensor))
+    return scene.Requests(places, **((times or listed) | limits), sensors=list(requests.sensor))
 
 
 def _widest(case: Case, sensor: str) -> float:

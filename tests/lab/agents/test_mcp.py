@@ -63,7 +63,7 @@ def test_cases_follow_one_another_and_are_those_of_evaluations(env):
 
 def test_a_plan_stops_before_an_illegal_action(env):
     game = Game(env, [4])
-    game.seen["action_mask"][0, game.names.index(CHARGE)] = False  # here every action is legal at all times
+    game.situation["action_mask"][0, game.names.index(CHARGE)] = False  # here every action is legal at all times
     assert [future["taken"] for future in game.what_if([[CHARGE], [SCAN, CHARGE]])] == [0, 2]
     check_refusals(refusal(lambda: game.commit([CHARGE]), ValueError, CHARGE, "illegal now"))
 
