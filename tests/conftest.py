@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -50,6 +50,16 @@ STRICT = "BSK_TORCH_STRICT_TESTS"
 """Environment variable under which a test with unmet needs fails, so that scripts/test.sh --nightly skips none in silence."""
 
 RECORDINGS = Path(__file__).with_name("basilisk") / "recordings"
+
+
+@pytest.fixture(autouse=True)
+def own_environments() -> Iterator[None]:
+    """Environments that a training or command has entered among the presets leave them with the test."""
+    yield
+    from bsk_torch.presets import PRESETS
+
+    for name in [name for name in PRESETS if ":" in name]:
+        del PRESETS[name]
 
 
 @cache

@@ -7,6 +7,7 @@ from typing import get_args, get_type_hints
 from bsk_torch._listed import MANY, ONE, OWN, register_listed, register_once
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS
+from bsk_torch.presets.own import OwnEnvironment
 
 __all__ = ["OWN", "register"]
 
@@ -22,6 +23,8 @@ def register() -> None:
     """
     register_listed()
     for name, preset in PRESETS.items():
+        if isinstance(preset, OwnEnvironment):  # entered by a training or command; its name has no version
+            continue
         annotation = get_type_hints(preset).get("return")
         if annotation is None:
             raise TypeError(f"preset {name!r} has no return annotation; write def {preset.__name__}(...) -> SatelliteTasking")

@@ -10,6 +10,7 @@ import torch
 from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch._listed import MANY
 from bsk_torch.presets import PRESETS
+from bsk_torch.presets.own import enter
 from bsk_torch.wrappers.registration import OWN, register
 from tests.support.refusals import check_refusals, refusal
 
@@ -59,6 +60,15 @@ def test_separate_agents_are_refused_with_the_view_that_has_them(monkeypatch):
         refusal(docking, TypeError, "'CWDocking-v1'", "ConstellationTasking", "SatelliteTasking", "parallel_env", "GymJointEnv"),
         refusal(lambda: register(), TypeError, "'Own-v1'", "return annotation", "SatelliteTasking"),
     )
+
+
+def test_environments_that_a_training_entered_are_not_registered():
+    name = enter(lambda num_envs: None)
+    try:
+        register()
+        assert f"bsk_torch/{name}" not in gymnasium.registry
+    finally:
+        del PRESETS[name]
 
 
 def test_general_satellite_tasking_is_a_batched_constellation_with_one_agent():
