@@ -42,16 +42,16 @@ class Kind(NamedTuple):
         title: The kind in messages.
         is_kind: Whether a file or folder, which exists, is of this kind.
         executes: Returns what reading it executes; empty if nothing.
-        read: Reads it.
+        read: Reads it; what it may execute then depends on whether the caller trusts the file.
     """
 
     title: str
     is_kind: Callable[[Path], bool]
     executes: Callable[[Path], str]
-    read: Callable[[Path], Loaded]
+    read: Callable[[Path, bool], Loaded]
 
 
-def _read_own(path: Path) -> Loaded:
+def _read_own(path: Path, trust: bool) -> Loaded:
     card = read_card(path)
 
     def fit(env: Tasking, where: str) -> TensorDictModuleBase:
@@ -77,20 +77,23 @@ def _unpickles(path: Path) -> str:
 KINDS = (
     Kind("policy of bsk_torch", lambda path: (path / POLICY).is_file() or is_checksummed(path), lambda path: "", _read_own),
     Kind("model of Stable-Baselines3", lambda path: path.suffix == ".zip", sb3_zip.pickled_parts, sb3_zip.read_sb3),
-    Kind("ONNX file", lambda path: path.suffix == ".onnx", lambda path: "", network_files.read_onnx),
+    Kind("ONNX file", lambda path: path.suffix == ".onnx", lambda path: "", lambda path, trust: network_files.read_onnx(path)),
     Kind(
         "program of torch.export", lambda path: path.suffix == ".pt2", network_files.exported_fault, network_files.read_exported
     ),
     Kind(
-        "checkpoint of RLlib", rllib_checkpoint.is_checkpoint, lambda path: "RLlib unpickles it", rllib_checkpoint.read_checkpoint
+        "checkpoint of RLlib",
+        rllib_checkpoint.is_checkpoint,
+        lambda path: "RLlib unpickles it",
+        lambda path, trust: rllib_checkpoint.read_checkpoint(path),
     ),
     Kind(
         "experiment of BenchMARL",
         lambda path: _checkpoint(path) is not None,
         lambda path: "BenchMARL's config.pkl and the checkpoint are unpickled",
-        lambda path: resolve("bsk_torch.rl.marl.benchmarl:read_experiment")(_checkpoint(path)),
+        lambda path, trust: resolve("bsk_torch.rl.marl.benchmarl:read_experiment")(_checkpoint(path)),
     ),
-    Kind("module of torch", lambda path: bool(_unpickles(path)), _unpickles, network_files.read_module),
+    Kind("module of torch", lambda path: bool(_unpickles(path)), _unpickles, lambda path, trust: network_files.read_module(path)),
     Kind("policy of bsk_torch", lambda path: True, lambda path: "", _read_own),  # of release 0.1, or damaged
 )
 """All kinds of files; the first that fits reads a file."""
@@ -114,7 +117,7 @@ def read_policy(source: Path | str, trust: bool = False) -> Loaded:
             f"{str(source)!r} is a {kind.title}: {code}, so that whoever made it decides what runs here; if you trust it, "
             "add --trust, or trust=True in Python"
         )
-    return kind.read(path)
+    return kind.read(path, trust)
 
 
 # -- names -----------------------------------------------------------------------------------------------------------------------

@@ -198,8 +198,8 @@ def _inputs(archive: Archive) -> dict[str, int | None]:
     return dict(parts)
 
 
-def read_sb3(path: Path) -> Loaded:
-    """Read a model; ValueError for a damaged one. It is unpickled only where :func:`pickled_parts` returns a reason."""
+def read_sb3(path: Path, trust: bool = False) -> Loaded:
+    """Read a model; ValueError for a damaged one and, unless ``trust``, one that must be unpickled."""
     archive, normalizer = _archive(path), _normalizer(path)
     library = f"stable-baselines3 {archive.version}".strip()
     if normalizer is None and not _fault(archive):
@@ -208,6 +208,8 @@ def read_sb3(path: Path) -> Loaded:
         assert isinstance(last, nn.Linear)
         interface = Interface(f"the model {str(path)!r}", _inputs(archive), last.out_features, is_real)
         return Loaded(lambda env, where: _built(archive.module, network, interface, env, where), library)
+    if not trust:  # the file has changed since it was looked at
+        raise ValueError(f"{str(path)!r} must be unpickled")
     if archive.module not in ALGORITHMS:
         raise ValueError(f"{str(path)!r} has a policy of {archive.module:.80}; name a function that loads it, module:function")
     package, _, name = ALGORITHMS[archive.module].partition(":")
