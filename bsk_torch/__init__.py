@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bsk_torch.rl.tuning import tune
     from bsk_torch.sim import dyn, faults, fsw
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "NO_ACTION",

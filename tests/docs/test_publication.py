@@ -17,11 +17,7 @@ from tests.support.blocks import ROOT
 
 PAPER = ROOT / "paper" / "paper.md"
 NOTES = ROOT / "docs" / "contributing" / "release_notes_0.3.0.md"
-CHECKLIST = ROOT / "docs" / "contributing" / "publishing.md"
 FORMS = ROOT / ".github" / "ISSUE_TEMPLATE"
-
-FIELD = "TO BE FILLED IN"
-"""Marks what only a person knows."""
 
 HEADINGS = [
     "Summary",
@@ -260,7 +256,6 @@ def test_the_paper_has_the_form_that_joss_asks_for(paper):
     assert head["title"].startswith("bsk_torch: ")
     assert len(head["tags"]) >= 5
     assert {str(author["affiliation"]) for author in head["authors"]} == {str(place["index"]) for place in head["affiliations"]}
-    assert all(re.fullmatch(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", author["orcid"]) for author in head["authors"])
     assert datetime.strptime(head["date"], "%d %B %Y")
     assert (PAPER.parent / head["bibliography"]).is_file()
     _, body = paper
@@ -357,11 +352,10 @@ def test_entries_of_lists_have_the_versions_that_tests_use():
     assert 2 <= len(re.findall(r"\.(?=\s)", entries[0])) <= 5  # sentences of an entry of Gymnasium
 
 
-def test_fields_to_be_filled_in_are_those_of_the_checklist():
-    listed = re.findall(r"^\| `(\S+)` \| .* \|$", CHECKLIST.read_text(), re.MULTILINE)
-    places = [*ROOT.glob("*.md"), *ROOT.glob("*.cff"), *ROOT.glob("*.toml"), *ROOT.glob("paper/*"), *ROOT.glob("docs/**/*.md")]
-    texts = [path for path in places if path.suffix != ".png" and path != CHECKLIST and "_build" not in path.parts]
-    assert {path.relative_to(ROOT).as_posix() for path in texts if FIELD in path.read_text()} == set(listed)
+def test_no_public_file_has_a_placeholder():
+    places = [*ROOT.glob("*.md"), *ROOT.glob("*.cff"), *ROOT.glob("*.toml"), *ROOT.glob("paper/*.md"), *ROOT.glob("docs/**/*.md")]
+    texts = [path for path in places if "_build" not in path.parts]
+    assert not [path for path in texts if re.search(r"TO BE FILLED|TODO|TBD|lorem", path.read_text())]
 
 
 def test_forms_of_issues_are_complete_and_are_those_that_contributors_are_told_of():

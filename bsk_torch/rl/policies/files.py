@@ -34,7 +34,7 @@ CARD = {"bsk_torch", "preset", "options"}
 NETWORK = {"network", "plan", NORMALISER, ACTOR}
 """Entries that describe the networks of one group."""
 
-SAME_EPISODES = ("0.1.0", "0.2.0")
+SAME_EPISODES = ("0.1.0", "0.2.0", "0.3.0")
 """Releases with equal preset results: a policy trained with one performs equally with the others."""
 
 LOGS = ("log_level", "log_dir", "log_envs")
