@@ -1,12 +1,12 @@
-"""Make the pictures of README.md: a film of a trained policy, thumbnails of all presets, a plot of speed; and those of pages.
+"""Make the pictures of README.md, thumbnails of all presets and a plot of speed, and pictures of pages.
 
-    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides] [viewer] [PRESET]
+    python scripts/tools/make_readme_pictures.py [thumbnails] [frame] [speed] [guides] [viewer] [PRESET]
 
 They are written to docs/_static/readme, those of guides to docs/_static/how_to, those of the viewer to docs/_static/viewer: all
-of them, or those that are named, among them thumbnails of single presets. The film and the thumbnails show the pretrained
-policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json`` and
+of them, or those that are named, among them thumbnails of single presets. The thumbnails show the pretrained policies, or a rule
+where there is none; the plot shows ``benchmarks/results/vs_basilisk.json`` and
 ``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw. Needs the extras
-``viz``, ``video`` and ``cities``.
+``viz`` and ``cities``.
 """
 
 from __future__ import annotations
@@ -46,14 +46,8 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "_static" / "readme"
 RESULTS = ROOT / "benchmarks" / "results"
 
-FILM_HEIGHT, FILM_STEP, FILM_TIME, FRAME_MS = 400, 20.0, 2400.0, 90
-"""Pixels from top to bottom, simulated seconds between two frames and in all, and milliseconds that a frame is shown."""
-
-VIDEO_HEIGHT, VIDEO = 720, ["-crf", "27", "-movflags", "+faststart"]
-"""Height of the film of the site, pixels, and how ffmpeg packs it: as browsers play it, and from the start."""
-
 COLORS = 64
-"""Colors of the film."""
+"""Colors of pictures."""
 
 THUMBNAIL, THUMBNAIL_TIME, DAYLIGHT = 200, 1500.0, 0.35
 """Width and height of a thumbnail, pixels; it shows the first decision after so many seconds at which the cosine of the Sun's
@@ -65,8 +59,8 @@ LATER = {"Areas-v1": 18_000.0}
 ZOOM = 1.3
 """How much larger a single satellite is shown."""
 
-FILM_SEED, THUMBNAIL_SEED = 3, 59
-"""Seeds of the episodes that are shown; the second one flies over Europe and Asia in daylight."""
+THUMBNAIL_SEED = 59
+"""Seed of the episode that is shown: it flies over Europe and Asia in daylight."""
 
 INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection-v1"), "survey", 4
 """Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
@@ -118,34 +112,6 @@ def played(preset: str, seed: int, **options: Any) -> Iterator[Tasking]:
     yield env
     for _ in play_episodes(env, policy, start):
         yield env
-
-
-def film(folder: Path) -> list[Path]:
-    """Write ``film.gif``, and for the site larger as ``film.mp4`` and its middle as ``film.jpg``.
-
-    It shows twelve satellites in the environment Constellation-v1, with 1,000 targets.
-    """
-    from imageio_ffmpeg import write_frames  # moviepy brings it
-
-    frames: list[Image.Image] = []
-    large: list[Any] = []
-    for env in played("Constellation-v1", FILM_SEED, n_targets=1000, max_step_duration=FILM_STEP, time_limit=FILM_TIME):
-        while float(env.fleet.sim_time[0]) >= FILM_STEP * len(frames):  # steps also end with tasks
-            frames.append(Image.fromarray(env.render(0, FILM_HEIGHT).numpy()))
-            large.append(env.render(0, VIDEO_HEIGHT).numpy())
-    video, poster = folder / "film.mp4", folder / "film.jpg"
-    height, width, _ = large[0].shape
-    writer = write_frames(str(video), (width, height), fps=1000.0 / FRAME_MS, codec="libx264", quality=None, output_params=VIDEO)
-    writer.send(None)
-    for shot in large:
-        writer.send(shot)
-    writer.close()
-    Image.fromarray(large[len(large) // 2]).save(poster, quality=85)
-    palette = frames[len(frames) // 2].quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    path = folder / "film.gif"
-    flat[0].save(path, save_all=True, append_images=flat[1:], duration=FRAME_MS, loop=0, optimize=True)
-    return [path, video, poster]
 
 
 def thumbnails(folder: Path) -> list[Path]:
@@ -312,7 +278,6 @@ def viewer(folder: Path) -> list[Path]:
 
 
 PICTURES: dict[str, Callable[[Path], Any]] = {
-    "film": film,
     "thumbnails": thumbnails,
     "frame": frame,
     "speed": speed,
