@@ -12,6 +12,7 @@ from functools import cache
 from typing import Any
 
 from docs._ext.markdown import block, code, plain, table
+from docs._ext.results import ROOT
 
 SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
 """Presets whose components are marked in the order of a tick."""
@@ -21,10 +22,19 @@ SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
 
 
 def commands() -> str:
+    """Return the commands of ``bsk-torch``, each with its first sentence."""
+    from bsk_torch.cli.main import COMMANDS, loaded
+
+    return table(
+        ["command", "use"], [[code(name), paragraphs(loaded(name).help).partition("\n\n")[0]] for name in sorted(COMMANDS)]
+    )
+
+
+def commands_in_full() -> str:
     """Return every command of ``bsk-torch`` with its options."""
     from bsk_torch.cli.main import COMMANDS, loaded
 
-    parts = []
+    parts = ["# All commands"]
     for name in sorted(COMMANDS):
         command = loaded(name)
         examples = command.epilog.partition("\n\n")[2].replace("\\[", "[")
@@ -59,23 +69,13 @@ def paragraphs(text: str | None) -> str:
 
 
 def presets() -> str:
-    """Return all presets with their options, under the decision process that their module states."""
+    """Return all presets with their tasks and the names of their options."""
     from bsk_torch.presets import PRESETS
 
-    modules: dict[str, list[str]] = {}
-    for name, preset in PRESETS.items():
-        modules.setdefault(preset.__module__, []).append(name)
-    parts = [table(["preset", "task"], [[f"[{name}](#{anchor(name)})", about(name)] for name in PRESETS])]
-    for module, names in modules.items():
-        parts += [f"## {', '.join(names)}", f"```{{eval-rst}}\n.. automodule:: {module}\n   :no-index:\n```"]
-        for name in names:
-            parts += [f"### {name}", f"`bsk_torch.make({name!r}, num_envs=..., **options)`", options(PRESETS[name])]
-    return "\n\n".join(parts) + "\n"
-
-
-def anchor(name: str) -> str:
-    """Return the anchor of a heading."""
-    return name.lower().replace(".", "")
+    rows = [
+        [code(name), about(name), ", ".join(code(row[0]) for row in options(preset)) or "-"] for name, preset in PRESETS.items()
+    ]
+    return table(["preset", "task", "options"], rows)
 
 
 def about(name: str) -> str:
@@ -85,16 +85,13 @@ def about(name: str) -> str:
     )
     if found is None:
         raise ValueError(f"the docstring of bsk_torch.presets has no row for {name}")
-    return found[1]
+    return found[1].replace("``", "`")
 
 
-def options(preset: Any) -> str:
-    """Return the options that a preset adds to those of its environment."""
-    rows = []
-    for parameter in inspect.signature(preset).parameters.values():
-        if parameter.kind is not parameter.VAR_KEYWORD:
-            rows.append([code(parameter.name), code(repr(parameter.default)), argument(preset, parameter.name)])
-    return table(["option", "default", "meaning"], rows) if rows else "It has no options."
+def options(preset: Any) -> list[list[str]]:
+    """Return the options that a preset adds to those of its environment: name, default, meaning."""
+    given = [p for p in inspect.signature(preset).parameters.values() if p.kind is not p.VAR_KEYWORD]
+    return [[p.name, repr(p.default), argument(preset, p.name)] for p in given]
 
 
 def argument(function: Any, name: str) -> str:
@@ -122,14 +119,16 @@ def environment_options() -> str:
         added = [field for field in dataclasses.fields(kind) if field.name not in seen]
         seen |= {field.name for field in added}
         rows = [[code(field.name), code(repr(field.default)), roles(argument(kind, field.name))] for field in added]
-        target = f"```{{py:class}} {kind.__module__}.{kind.__name__}\n:no-typesetting:\n```"  # where links of docstrings lead
+        target = (
+            f"<!-- site\n```{{py:class}} {kind.__module__}.{kind.__name__}\n:no-typesetting:\n```\n-->"  # for links of docstrings
+        )
         parts += [f"## {title}", target, table(["option", "default", "meaning"], rows)]
     return "\n\n".join(parts) + "\n"
 
 
 def roles(text: str) -> str:
-    """Return a docstring's text with its roles as Markdown has them."""
-    return re.sub(r":(class|func|meth|mod|attr|data):(?=`)", r"{py:\1}", text)
+    """Return a docstring's text without its roles."""
+    return re.sub(r":(?:class|func|meth|mod|attr|data):`~?", "`", text)
 
 
 # -- arguments and the tick ----------------------------------------------------------------------------------------------------
@@ -193,7 +192,17 @@ def schedule() -> str:
     return "\n\n".join(sections) + "\n"
 
 
+# -- the front page ------------------------------------------------------------------------------------------------------------
+
+
+def readme_example() -> str:
+    """Return the example of the README."""
+    text = (ROOT / "README.md").read_text()
+    return text.partition("<!-- example -->")[2].partition("<!-- end of the example -->")[0].strip()
+
+
 TABLES = {
+    "readme_example": readme_example,
     "commands": commands,
     "presets": presets,
     "environment_options": environment_options,
