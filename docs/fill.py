@@ -27,7 +27,7 @@ MARK = re.compile(
     r"^<!-- generated: (\w+) *(.*?) -->\n(?:(?:(?!<!-- generated).*\n)*?<!-- end -->\n)?",
     re.MULTILINE,
 )
-EMPTY = re.compile(r"(?<!!)\[\]\(([^)#\s]*\.md)?(?:#([^)\s]+))?\)")
+EMPTY = re.compile(r"(?<![!`])\[\]\(([^)#\s]*\.md)?(?:#([^)\s]+))?\)")
 HEAD = re.compile(r"^#+ (.*)$", re.MULTILINE)
 
 
