@@ -107,6 +107,52 @@ def argument(function: Any, name: str) -> str:
     return " ".join(text) or "-"
 
 
+RULES = {
+    "random": "takes every allowed action with the same probability",
+    "rule": "scans within thresholds of battery, wheels and buffer, and else repairs what is out of bounds",
+    "cautious": "the same with tuned thresholds",
+    "science": "the same with the thresholds of this preset",
+    "areas": "records the cells of areas, and looks after battery, wheels and store",
+    "greedy": "takes the most valuable target",
+    "nearest": "takes the target whose window closes next",
+    "hasty": "weighs value against slew and waiting time",
+    "farsighted": "the same, with the best three images that can follow",
+    "cooperative": "ranks like *farsighted* with turn rates and clouds; satellites leave each other their targets",
+    "drift": "never thrusts",
+    "circumnavigate": "flies around the spacecraft at its initial distance",
+    "survey": "takes the transfer that reveals the most lit, missing points, minus fuel and time",
+    "hurried_survey": "the same with a higher price of time",
+    "angle": "images the object with the smallest angle from the instrument",
+    "priority_angle": "images the object with the smallest ratio of angle to priority",
+    "distance": "images the nearest object",
+    "rate": "images the lit object with the most priority per second of turn",
+    "rate_ahead": "the same, expected at the end of the image",
+    "candidate_priority": "images the observed candidate of the highest priority",
+    "candidate_rate": "*rate* among the observed candidates",
+    "candidate_rate_ahead": "*rate_ahead* among the observed candidates",
+    "prompt": "images the candidate in sight with the most priority per second, and desaturates when idle",
+    "prompt_ahead": "the same with what is expected of the image",
+    "local": "each imager decides from what it knows of the others' images",
+    "centralized": "the best joint choice of all imagers",
+    "glide": "flies straight to the chief at a share of the safe speed",
+    "seek": "flies around the chief toward the nearest cluster of lit points",
+    "nearest_task": "AEOS-Bench's greedy rule",
+    "soonest_task": "gives each task to the satellite that is expected to complete it first",
+}
+"""What the rules do."""
+
+
+def rules() -> str:
+    """Return all rules with the presets that they fit."""
+    from bsk_torch._listed import LISTED
+    from bsk_torch.rl.policies.shared_policy import RULES as NAMES
+
+    if set(RULES) != set(NAMES):
+        raise ValueError(f"described and existing rules differ: {set(RULES) ^ set(NAMES)}")
+    fits = {rule: ", ".join(code(name) for name, preset in LISTED.items() if rule in preset.rules) or "all" for rule in RULES}
+    return table(["rule", "what it does", "presets"], [[code(rule), text, fits[rule]] for rule, text in RULES.items()])
+
+
 # -- options of environments ---------------------------------------------------------------------------------------------------
 
 
@@ -171,6 +217,36 @@ def bounds(arg: Any) -> str:
     return f"{plain(arg.low)} to {plain(arg.high)}"
 
 
+NUMBERS = (
+    *("mass", "width", "depth", "height", "u_max", "maxWheelSpeed", "wheelSpeeds"),
+    *("panelArea", "panelEfficiency", "batteryStorageCapacity", "storedCharge_Init", "basePowerDraw"),
+    *("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw"),
+    *("instrumentBaudRate", "transmitterBaudRate", "dataStorageCapacity", "storageInit"),
+    *("imageAttErrorRequirement", "imageRateErrorRequirement", "imageTargetMinimumElevation", "disturbance_vector", "oe"),
+)
+"""Arguments that describe a spacecraft at a glance."""
+
+FLOWN = ("NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "Constellation-v1")
+"""Presets whose spacecraft are compared."""
+
+
+def spacecraft_numbers() -> str:
+    """Return the most used arguments with their units, the default, and the values in some presets where they differ."""
+    import bsk_torch
+    from bsk_torch.sim.arguments.table import short
+
+    tables = [bsk_torch.make(name, num_envs=1, time_limit=60.0, backend="eager").default_sat_args() for name in FLOWN]
+    rows = []
+    for name in NUMBERS:
+        arg = next(found.rows[name] for found in tables if name in found.rows)
+        here = [
+            code(short(found.here[name])) if name in found.here else "-" if name not in found.rows else "default"
+            for found in tables
+        ]
+        rows.append([code(name), arg.unit or "1", code(short(arg.default)), *here])
+    return table(["argument", "unit", "default", *FLOWN], rows)
+
+
 @cache
 def schedule() -> str:
     """Return the slots of a tick, in order, and in which presets each of them runs."""
@@ -207,5 +283,7 @@ TABLES = {
     "presets": presets,
     "environment_options": environment_options,
     "arguments": arguments,
+    "rules": rules,
+    "spacecraft_numbers": spacecraft_numbers,
     "schedule": schedule,
 }

@@ -77,7 +77,7 @@ def damage(path):
                 if not re.match(r"https?:|mailto:", link):
                     file, _, section = unquote(link).partition("#")
                     target = (path.parent / file) if file else path
-                    if not target.exists() or (section and section not in fill.headings(target.read_text())):
+                    if not link or not target.exists() or (section and section not in fill.headings(target.read_text())):
                         yield f"dead link to {link}"
             if part.type == "image" and not (path.parent / part.attrs["src"]).exists():
                 yield f"picture {part.attrs['src']} without a file"
