@@ -93,3 +93,13 @@ def test_versions_lie_side_by_side(site, tmp_path):
     names = re.findall(r'href="([^/]+)/index.html"', (tmp_path / "index.html").read_text())
     assert names == ["latest", bsk_torch.__version__, "0.0.9"]
     assert all((tmp_path / name / "index.html").exists() for name in names)
+
+
+def test_generated_parts_have_no_gaps():
+    from docs import fill
+
+    parts = [(path, part[0]) for path in fill.pages() for part in fill.MARK.finditer(path.read_text())]
+    assert len(parts) > 100
+    for path, text in parts:
+        assert "@@" not in text, path
+        assert not re.search(r"\|[ \t]*\|", re.sub(r"`[^`\n]*`", "`", text)), (path, text[:80])
