@@ -2,7 +2,7 @@
 
 The arguments are those of ``dyn.BasicDynamicsModel`` and of all models that build on it, with ``fsw.BasicFSWModel``
 (``law="feedback"``) or ``fsw.SteeringFSWModel`` (``law="steering"``); the tick length h is the environment's ``sim_rate``. Change
-and add entries as in any dictionary. Where each number comes from: ``docs/how_to/spacecraft_library.md``.
+and add entries as in any dictionary. Where each number comes from: ``docs/how_to/spacecraft.md``.
 """
 
 from __future__ import annotations

@@ -36,13 +36,12 @@ extensions = [
     "sphinx.ext.intersphinx",
     "myst_parser",
     "sphinx_copybutton",
-    "sphinx_design",
     "sphinx_sitemap",
     "sphinx_llms_txt",
     "sphinx_gallery.gen_gallery",
     "docs._ext.mathml",
     "docs._ext.reference",
-    "docs._ext.generated",
+    "docs._ext.site",
 ]
 exclude_patterns = ["_build", "tutorials/*.rst", "**/README.md"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
@@ -51,7 +50,6 @@ suppress_warnings = ["config.cache"]  # settings hold functions
 
 # Markdown
 myst_enable_extensions = [
-    "colon_fence",
     "dollarmath",
     "deflist",
     "attrs_block",

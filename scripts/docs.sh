@@ -5,7 +5,7 @@
 # Environment variables:
 #   BSK_TORCH_DOCS_URL         address that the site will have, for sitemap.xml; http://localhost:8000/ unless set
 #   BSK_TORCH_DOCS_VERSIONS    folder of a site with several versions: the pages are also put there, as VERSION and as latest,
-#                              with a page that lists all versions (docs/contributing/versions.md)
+#                              with a page that lists all versions (docs/contributing/index.md)
 # Look at the result with: python -m http.server --directory docs/_build/html
 set -euo pipefail
 case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac

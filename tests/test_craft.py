@@ -16,7 +16,7 @@ from bsk_torch.constants import SOLAR_FLUX
 from bsk_torch.rand import first_key
 from tests.support.refusals import check_refusals, refusal
 
-PAGE = Path(__file__).parents[1] / "docs" / "how_to" / "spacecraft_library.md"
+PAGE = Path(__file__).parents[1] / "docs" / "how_to" / "spacecraft.md"
 
 LAWS = {"cubesat": "steering", "imager": "feedback", "agile_imager": "steering", "aeos_bench": "feedback"}
 """The spacecraft, with their control law by default."""

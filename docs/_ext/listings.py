@@ -12,6 +12,7 @@ from functools import cache
 from typing import Any
 
 from docs._ext.markdown import block, code, plain, table
+from docs._ext.results import ROOT
 
 SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
 """Presets whose components are marked in the order of a tick."""
@@ -21,10 +22,19 @@ SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
 
 
 def commands() -> str:
+    """Return the commands of ``bsk-torch``, each with its first sentence."""
+    from bsk_torch.cli.main import COMMANDS, loaded
+
+    return table(
+        ["command", "use"], [[code(name), paragraphs(loaded(name).help).partition("\n\n")[0]] for name in sorted(COMMANDS)]
+    )
+
+
+def commands_in_full() -> str:
     """Return every command of ``bsk-torch`` with its options."""
     from bsk_torch.cli.main import COMMANDS, loaded
 
-    parts = []
+    parts = ["# All commands"]
     for name in sorted(COMMANDS):
         command = loaded(name)
         examples = command.epilog.partition("\n\n")[2].replace("\\[", "[")
@@ -59,23 +69,13 @@ def paragraphs(text: str | None) -> str:
 
 
 def presets() -> str:
-    """Return all presets with their options, under the decision process that their module states."""
+    """Return all presets with their tasks and the names of their options."""
     from bsk_torch.presets import PRESETS
 
-    modules: dict[str, list[str]] = {}
-    for name, preset in PRESETS.items():
-        modules.setdefault(preset.__module__, []).append(name)
-    parts = [table(["preset", "task"], [[f"[{name}](#{anchor(name)})", about(name)] for name in PRESETS])]
-    for module, names in modules.items():
-        parts += [f"## {', '.join(names)}", f"```{{eval-rst}}\n.. automodule:: {module}\n   :no-index:\n```"]
-        for name in names:
-            parts += [f"### {name}", f"`bsk_torch.make({name!r}, num_envs=..., **options)`", options(PRESETS[name])]
-    return "\n\n".join(parts) + "\n"
-
-
-def anchor(name: str) -> str:
-    """Return the anchor of a heading."""
-    return name.lower().replace(".", "")
+    rows = [
+        [code(name), about(name), ", ".join(code(row[0]) for row in options(preset)) or "-"] for name, preset in PRESETS.items()
+    ]
+    return table(["preset", "task", "options"], rows)
 
 
 def about(name: str) -> str:
@@ -85,16 +85,13 @@ def about(name: str) -> str:
     )
     if found is None:
         raise ValueError(f"the docstring of bsk_torch.presets has no row for {name}")
-    return found[1]
+    return found[1].replace("``", "`")
 
 
-def options(preset: Any) -> str:
-    """Return the options that a preset adds to those of its environment."""
-    rows = []
-    for parameter in inspect.signature(preset).parameters.values():
-        if parameter.kind is not parameter.VAR_KEYWORD:
-            rows.append([code(parameter.name), code(repr(parameter.default)), argument(preset, parameter.name)])
-    return table(["option", "default", "meaning"], rows) if rows else "It has no options."
+def options(preset: Any) -> list[list[str]]:
+    """Return the options that a preset adds to those of its environment: name, default, meaning."""
+    given = [p for p in inspect.signature(preset).parameters.values() if p.kind is not p.VAR_KEYWORD]
+    return [[p.name, repr(p.default), argument(preset, p.name)] for p in given]
 
 
 def argument(function: Any, name: str) -> str:
@@ -110,6 +107,52 @@ def argument(function: Any, name: str) -> str:
     return " ".join(text) or "-"
 
 
+RULES = {
+    "random": "takes every allowed action with the same probability",
+    "rule": "scans within thresholds of battery, wheels and buffer, and else repairs what is out of bounds",
+    "cautious": "the same with tuned thresholds",
+    "science": "the same with the thresholds of this preset",
+    "areas": "records the cells of areas, and looks after battery, wheels and store",
+    "greedy": "takes the most valuable target",
+    "nearest": "takes the target whose window closes next",
+    "hasty": "weighs value against slew and waiting time",
+    "farsighted": "the same, with the best three images that can follow",
+    "cooperative": "ranks like *farsighted* with turn rates and clouds; satellites leave each other their targets",
+    "drift": "never thrusts",
+    "circumnavigate": "flies around the spacecraft at its initial distance",
+    "survey": "takes the transfer that reveals the most lit, missing points, minus fuel and time",
+    "hurried_survey": "the same with a higher price of time",
+    "angle": "images the object with the smallest angle from the instrument",
+    "priority_angle": "images the object with the smallest ratio of angle to priority",
+    "distance": "images the nearest object",
+    "rate": "images the lit object with the most priority per second of turn",
+    "rate_ahead": "the same, expected at the end of the image",
+    "candidate_priority": "images the observed candidate of the highest priority",
+    "candidate_rate": "*rate* among the observed candidates",
+    "candidate_rate_ahead": "*rate_ahead* among the observed candidates",
+    "prompt": "images the candidate in sight with the most priority per second, and desaturates when idle",
+    "prompt_ahead": "the same with what is expected of the image",
+    "local": "each imager decides from what it knows of the others' images",
+    "centralized": "the best joint choice of all imagers",
+    "glide": "flies straight to the chief at a share of the safe speed",
+    "seek": "flies around the chief toward the nearest cluster of lit points",
+    "nearest_task": "AEOS-Bench's greedy rule",
+    "soonest_task": "gives each task to the satellite that is expected to complete it first",
+}
+"""What the rules do."""
+
+
+def rules() -> str:
+    """Return all rules with the presets that they fit."""
+    from bsk_torch._listed import LISTED
+    from bsk_torch.rl.policies.shared_policy import RULES as NAMES
+
+    if set(RULES) != set(NAMES):
+        raise ValueError(f"described and existing rules differ: {set(RULES) ^ set(NAMES)}")
+    fits = {rule: ", ".join(code(name) for name, preset in LISTED.items() if rule in preset.rules) or "all" for rule in RULES}
+    return table(["rule", "what it does", "presets"], [[code(rule), text, fits[rule]] for rule, text in RULES.items()])
+
+
 # -- options of environments ---------------------------------------------------------------------------------------------------
 
 
@@ -122,14 +165,16 @@ def environment_options() -> str:
         added = [field for field in dataclasses.fields(kind) if field.name not in seen]
         seen |= {field.name for field in added}
         rows = [[code(field.name), code(repr(field.default)), roles(argument(kind, field.name))] for field in added]
-        target = f"```{{py:class}} {kind.__module__}.{kind.__name__}\n:no-typesetting:\n```"  # where links of docstrings lead
+        target = (
+            f"<!-- site\n```{{py:class}} {kind.__module__}.{kind.__name__}\n:no-typesetting:\n```\n-->"  # for links of docstrings
+        )
         parts += [f"## {title}", target, table(["option", "default", "meaning"], rows)]
     return "\n\n".join(parts) + "\n"
 
 
 def roles(text: str) -> str:
-    """Return a docstring's text with its roles as Markdown has them."""
-    return re.sub(r":(class|func|meth|mod|attr|data):(?=`)", r"{py:\1}", text)
+    """Return a docstring's text without its roles."""
+    return re.sub(r":(?:class|func|meth|mod|attr|data):`~?", "`", text)
 
 
 # -- arguments and the tick ----------------------------------------------------------------------------------------------------
@@ -172,6 +217,36 @@ def bounds(arg: Any) -> str:
     return f"{plain(arg.low)} to {plain(arg.high)}"
 
 
+NUMBERS = (
+    *("mass", "width", "depth", "height", "u_max", "maxWheelSpeed", "wheelSpeeds"),
+    *("panelArea", "panelEfficiency", "batteryStorageCapacity", "storedCharge_Init", "basePowerDraw"),
+    *("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw"),
+    *("instrumentBaudRate", "transmitterBaudRate", "dataStorageCapacity", "storageInit"),
+    *("imageAttErrorRequirement", "imageRateErrorRequirement", "imageTargetMinimumElevation", "disturbance_vector", "oe"),
+)
+"""Arguments that describe a spacecraft at a glance."""
+
+FLOWN = ("NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "Constellation-v1")
+"""Presets whose spacecraft are compared."""
+
+
+def spacecraft_numbers() -> str:
+    """Return the most used arguments with their units, the default, and the values in some presets where they differ."""
+    import bsk_torch
+    from bsk_torch.sim.arguments.table import short
+
+    tables = [bsk_torch.make(name, num_envs=1, time_limit=60.0, backend="eager").default_sat_args() for name in FLOWN]
+    rows = []
+    for name in NUMBERS:
+        arg = next(found.rows[name] for found in tables if name in found.rows)
+        here = [
+            code(short(found.here[name])) if name in found.here else "-" if name not in found.rows else "default"
+            for found in tables
+        ]
+        rows.append([code(name), arg.unit or "1", code(short(arg.default)), *here])
+    return table(["argument", "unit", "default", *FLOWN], rows)
+
+
 @cache
 def schedule() -> str:
     """Return the slots of a tick, in order, and in which presets each of them runs."""
@@ -193,10 +268,22 @@ def schedule() -> str:
     return "\n\n".join(sections) + "\n"
 
 
+# -- the front page ------------------------------------------------------------------------------------------------------------
+
+
+def readme_example() -> str:
+    """Return the example of the README."""
+    text = (ROOT / "README.md").read_text()
+    return text.partition("<!-- example -->")[2].partition("<!-- end of the example -->")[0].strip()
+
+
 TABLES = {
+    "readme_example": readme_example,
     "commands": commands,
     "presets": presets,
     "environment_options": environment_options,
     "arguments": arguments,
+    "rules": rules,
+    "spacecraft_numbers": spacecraft_numbers,
     "schedule": schedule,
 }

@@ -35,7 +35,7 @@ def pretrained_short() -> str:
         score = made_by["score"]
         reached = f"{score['return']:.2f} ± {score['half_width']:.2f}"
         cells = [whole(made_by["frames"]), f"{made_by['seconds'] / 60.0:.0f} min", reached, f"{score['survival']:.1%}"]
-        rows.append([f"[{preset}](../api/presets.md)", *cells])
+        rows.append([code(preset), *cells])
     return f"{table(['preset', 'decisions in training', 'time', 'return', 'survival'], rows)}\n"
 
 

@@ -1,4 +1,4 @@
-"""Writes the pages of the API reference from docstrings: one for each public module, tables first, and one for each class."""
+"""Writes pages of the reference: one for each public module, class and preset from docstrings, and one of all commands."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import builtins
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from docutils import nodes
 from sphinx import addnodes
@@ -13,6 +14,8 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util.typing import ExtensionMetadata
 
+from bsk_torch.presets import PRESETS
+from docs._ext.listings import about, commands_in_full, options
 from docs._ext.public import FIELD, Module, Name, modules, sections
 
 EXTERNAL = {
@@ -82,7 +85,8 @@ def write(folder: Path) -> None:
     """Write all pages; those that have not changed keep their time, so that they are not read again."""
     describe_properties()
     folder.mkdir(exist_ok=True)
-    pages = {"index.rst": index()}
+    pages = {"index.rst": index(), "commands.md": commands_in_full()}
+    pages |= {f"preset.{name}.rst": preset_page(name, preset) for name, preset in PRESETS.items()}
     for section in sections().values():
         for module in section:
             pages[f"{module.name}.rst"] = module_page(module)
@@ -123,6 +127,18 @@ def module_page(module: Module) -> str:
         text += [f".. autofunction:: {name.full}\n"]
     text += [data(name) for name in module.of("data")]
     return "\n".join(text)
+
+
+def preset_page(name: str, preset: Any) -> str:
+    """Return the page of a preset: its options, then the decision process that its module states."""
+    rows = [(f"``{option} = {default}``", meaning) for option, default, meaning in options(preset)]
+    text = [
+        title(f"``{name}``"),
+        f"{about(name)}.\n".replace("`", "``"),
+        f"``bsk_torch.make({name!r}, num_envs=..., **options)``\n",
+    ]
+    text += [".. rubric:: Options\n", listing(rows, "40 60")] if rows else []
+    return "\n".join([*text, f".. automodule:: {preset.__module__}\n   :no-index:\n"])
 
 
 def class_page(name: Name) -> str:

@@ -1,4 +1,4 @@
-"""What pages can ask for with ``<!-- generated: NAME ARGUMENTS -->``; see ``generated.py``."""
+"""What pages can ask for with ``<!-- generated: NAME ARGUMENTS -->``; see ``docs/fill.py``."""
 
 from __future__ import annotations
 

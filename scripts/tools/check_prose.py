@@ -29,6 +29,7 @@ PLACES = ("*.md", "bsk_torch", "docs", "examples", "scripts", ":!tests", ":!benc
 
 NO_PROSE = re.compile(
     r"^(?P<fence>```+|~~~+)(?!\{(?:note|tip|warning|figure|admonition)\})[\s\S]*?^(?P=fence)"  # blocks of code
+    r"|^<!-- generated: [\s\S]*?^<!-- end -->"
     r"|``[\s\S]+?``|`[^`]+`|<!--[\s\S]*?-->|\]\([^)]*\)|https?://\S+|<[a-z/][^>]*>",  # code, comments, targets of links, HTML
     re.MULTILINE,
 )

@@ -21,9 +21,9 @@ READABLE = 3.0
 
 SHOWN = (
     "index.html",
-    "truth/scanning.html",
+    "truth/index.html",
     "studies/paper_result.html",
-    "api/presets.html",
+    "api/reference/preset.AEOS-v1.html",
     "api/reference/bsk_torch.act.Image.html",
 )
 """Pages of each kind."""

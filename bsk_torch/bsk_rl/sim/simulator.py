@@ -107,7 +107,7 @@ class Simulator:
         """Raise TypeError, as Basilisk's simulation does: the core reads the arguments of this episode from its environment."""
         raise TypeError(
             "the simulation of an episode cannot be copied or pickled, as in bsk_rl: copy the environment before its first "
-            "reset. Episodes of bsk_torch.SatelliteTasking can be copied with env.restore: docs/how_to/save_and_branch.md"
+            "reset. Episodes of bsk_torch.SatelliteTasking can be copied with env.restore: docs/how_to/record.md"
         )
 
     def finish_init(self) -> None:

@@ -223,7 +223,7 @@ SUITES["v2"] = (
 
 REMARKS = {
     "v2": "This suite is withdrawn: four of its tasks have head-room because choices are hidden, clouds are known to the "
-    "planner, or deaths cost nothing. Its page, docs/studies/suite_v2.md, has the reasons.",
+    "planner, or deaths cost nothing. Its page, docs/studies/suite.md, has the reasons.",
     "aeosbench": "Satellites come from a pool of this package, selected by a filter like that of the benchmark; none of the "
     "random scenarios is in its data set. Rows of the same task can be compared with one another, but not with numbers of the "
     "paper: these are means over 64 scenarios of each split, on another Basilisk. Give its own scenarios with --folder.",
