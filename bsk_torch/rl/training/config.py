@@ -15,10 +15,11 @@ from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.seeds import episode_seed
 from bsk_torch.files import write_file
 from bsk_torch.presets import make
 from bsk_torch.presets.own import enter_named
-from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
+from bsk_torch.rl.evaluation.evaluate import FRESH
 from bsk_torch.rl.networks.plans import check_layers, check_network
 from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
 from bsk_torch.rl.policies.files import LOGS
@@ -212,8 +213,7 @@ class PPOConfig:
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name}={getattr(self, name)!r} must be True or False")
         for seed in (self.seed, self.seed + FRESH):
-            if seed in SUITE_SEEDS:
-                raise ValueError(f"seed={self.seed}: episodes of seed {seed} belong to suites, in which policies are compared")
+            episode_seed(seed)
         self._check_options()
         self._check_names()
         if self.workers != AUTO:
