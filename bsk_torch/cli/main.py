@@ -21,7 +21,7 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C, as in shells."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "list": ("bsk_torch.cli.presets:list_presets", "List the environments with short descriptions."),
+    "list": ("bsk_torch.cli.presets:list_presets", "List the environments, and what rules and policies return in them."),
     "train": (
         "bsk_torch.cli.train:train",
         "Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.",

@@ -354,7 +354,8 @@ def references(suite: str) -> dict[str, dict[str, Any]]:
 
     ``low`` is the random policy, and ``high`` the best of the package's rules, policies and, in ``v2``, planners when the suite
     was created. They are means over all episodes, of planners estimated from their gains in the first ones, and are as fixed as
-    the episodes. Suites whose tasks have measures have no references, nor have those whose references are not computed yet.
+    the episodes; such an estimate may have the ``half_width`` of its 95 % interval. Suites whose tasks have measures have no
+    references, nor have those whose references are not computed yet.
     """
     file = Path(__file__).with_name(f"{suite}.json")
     return json.loads(file.read_text()) if file.exists() else {}

@@ -69,6 +69,7 @@ LEAST_NUMBERS = {
     "evaluate_episodes": 1,
     "patience": 1,
     "checkpoint_every": 0,
+    "tuning_runs": 0,
 }
 """Integer settings, and their minimum values."""
 
@@ -151,6 +152,8 @@ class PPOConfig:
             as many processes as suit the available cores and ``num_envs``; the configuration of the run has the number.
         ahead: Whether these collect the next batch while one is learned from, so that no core waits. Every batch is then by a
             policy that is exactly one update old; results do not depend on speed, and resume bit for bit.
+        tuning_runs: Number of trainings by which these settings were chosen, as you declare it; the file of the policy records it
+            beside the decisions and core-seconds of this training.
         options: Arguments of the environment that differ from the preset's.
     """
 
@@ -187,6 +190,7 @@ class PPOConfig:
     collector: str = "single"
     workers: int | str = 2
     ahead: bool = False
+    tuning_runs: int = 0
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
