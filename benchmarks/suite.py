@@ -70,9 +70,10 @@ def references(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]
         ahead = [name for name, gain in gains.items() if gain.mean + gain.half_width < 0.0]
         top, source = (ahead or [best])[0], f"bsk_torch {head['bsk_torch']}"
         few = f", gain over {best} in {len(rows[top]['returns'])} episodes" if ahead else ""
+        estimated = {"half_width": gains[top].half_width} if ahead else {}
         found[task] = {
             "low": {"return": rows["random"]["return"]["mean"], "source": f"random actions, {source}"},
-            "high": {"return": rows[best]["return"]["mean"] - gains[top].mean, "source": f"{top}, {source}{few}"},
+            "high": {"return": rows[best]["return"]["mean"] - gains[top].mean, "source": f"{top}, {source}{few}"} | estimated,
         }
     return found
 

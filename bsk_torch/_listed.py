@@ -10,6 +10,7 @@ import json
 import sys
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import gymnasium
@@ -170,7 +171,7 @@ PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.lab.plan
 
 
 @cache
-def makings() -> dict[str, dict[str, object]]:
+def makings() -> dict[str, dict[str, Any]]:
     """Return the training and the score of each pretrained policy, by preset.
 
     Entries, which ``scripts/tools/publish_policy.py`` has written, are ``command``, ``seed``, ``frames``, ``seconds`` and
@@ -179,6 +180,21 @@ def makings() -> dict[str, dict[str, object]]:
     """
     path = files("bsk_torch").joinpath("rl/policies/policies.json")  # of a package that would import torch
     return dict(json.loads(path.read_text()))
+
+
+SCORES = Path(str(files("bsk_torch").joinpath("rl/policies/scores.json")))
+"""File of :func:`scores`."""
+
+
+@cache
+def scores() -> dict[str, dict[str, Any]]:
+    """Return what policies return in each preset, which ``scripts/tools/measure_presets.py`` has measured.
+
+    An entry has the number of ``episodes``, the same for all policies; ``policies`` by name (``random``, rules, ``pretrained``)
+    with the ``mean`` return, the ``half_width`` of its 95 % interval, the ``survival``, the ``options`` of the environment and
+    the CPU time; ``best_rule``; and ``gain``, the paired difference of the pretrained policy from it, None without such a policy.
+    """
+    return dict(json.loads(SCORES.read_text())["presets"]) if SCORES.exists() else {}
 
 
 def unlisted(preset: str) -> str:

@@ -22,7 +22,7 @@ INTERRUPTED = 130
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Everyday": {
-        "list": ("bsk_torch.cli.presets:list_presets", "List the environments with short descriptions."),
+        "list": ("bsk_torch.cli.presets:list_presets", "List the environments, and what rules and policies return in them."),
         "args": (
             "bsk_torch.cli.show:show_arguments",
             "Show the arguments of a preset's satellites and world: value in the preset, default and meaning.",

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bsk_torch._listed import LISTED, ONE, makings
+from bsk_torch._listed import LISTED, ONE, makings, scores
 from bsk_torch._rooms import absent_room
 from bsk_torch.tables import line_width, print_table
 
@@ -17,7 +17,7 @@ from bsk_torch.tables import line_width, print_table
 def list_presets(
     long: Annotated[bool, typer.Option("--long", help="Add score and training of the pretrained policies.")] = False,
 ) -> None:
-    """List the environments with short descriptions.
+    """List the environments, and what rules and policies return in them.
 
     Examples:
         bsk-torch list
@@ -27,12 +27,37 @@ def list_presets(
         table = Table.grid(padding=(0, 2))
         for name, preset in LISTED.items():
             folder = absent_room(preset.function)
-            table.add_row(Text(name, style="bold"), Text(f"not installed: no folder {folder}" if folder else preset.task))
+            about = Text(f"not installed: no folder {folder}" if folder else preset.task)
+            table.add_row(Text(name, style="bold"), about.append(scored(name), style="dim"))
+        table.add_row("", Text(f"\n{SCORED}"))
         Console(width=line_width()).print(table)
         return
     print_table(
         [described(name, makings().get(name)) for name in LISTED], EXPLAINED, ("survival", "satellites"), ("preset", "satellites")
     )
+
+
+SCORED = (
+    "Last lines: mean returns of the best rule and of the pretrained policy, the gain of the policy over the rule with its 95 % "
+    "interval, and the gain as a share of how far the better one is above random actions."
+)
+
+
+def scored(name: str) -> str:
+    """Return the line of a preset on its best rule and its pretrained policy; empty where nothing is measured."""
+    entry = scores().get(name)
+    if entry is None:
+        return ""
+    returns, gain = {policy: row["mean"] for policy, row in entry["policies"].items()}, entry["gain"]
+    random, rule = returns["random"], returns[entry["best_rule"]]
+    digits = 3 if abs(rule) < 10.0 else 1
+    line = f"\n{entry['best_rule']} {rule:.{digits}f}, "
+    if gain is None:
+        return f"{line}no policy; n = {entry['episodes']}"
+    policy = returns["pretrained"]
+    share = gain["mean"] / (max(policy, rule) - random)
+    interval = f"{gain['mean']:+.{digits}f} ± {gain['half_width']:.{digits}f}"
+    return f"{line}policy {policy:.{digits}f} ({interval}, {share:+.1%}); n = {entry['episodes']}"
 
 
 EXPLAINED = "Pretrained policies: mean return of unseen episodes with its 95 % interval, and their training"

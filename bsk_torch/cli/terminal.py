@@ -67,17 +67,19 @@ def refusing(*kinds: type[Exception], why: str = "") -> Iterator[None]:
 
 
 def of_arguments(error: BaseException) -> bool:
-    """Return whether an error ended the start of episodes, where values are drawn and checked, or the decision of a policy.
+    """Return whether an error ended the start of episodes, where seeds and values are checked, or the decision of a policy.
 
     All other errors of these types are faults of this package or the user's functions, and keep their traceback.
     """
     if "torch" not in sys.modules:
         return False
     from bsk_torch.env.episodes import Episodes
+    from bsk_torch.env.seeds import episode_seed
     from bsk_torch.wrappers.policies import DecisionError
 
+    starts = Episodes._begin.__code__, episode_seed.__code__
     frames = traceback.walk_tb(error.__traceback__)
-    return isinstance(error, DecisionError) or any(frame.f_code is Episodes._begin.__code__ for frame, _ in frames)
+    return isinstance(error, DecisionError) or any(frame.f_code in starts for frame, _ in frames)
 
 
 def for_shell(path: Path | str) -> str:

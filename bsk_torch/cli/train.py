@@ -35,8 +35,8 @@ Network = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="'mlp' (default for one satellite), 'gru' (with a memory), or 'attention' (for targets observed as a set, and "
-        "for constellations).",
+        help="'mlp', 'gru' (with a memory), or 'attention' (for targets observed as a set, and for constellations); default: the "
+        "one that suits the preset.",
     ),
 ]
 
@@ -71,11 +71,16 @@ def train(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Resume the run in the given folder.")] = False,
     out: Annotated[Path | None, flag("FOLDER", "Folder for the results; default: a new one in runs/.")] = None,
-    episodes: Annotated[int, flag("N", "Unseen episodes of the final comparison; with 0, there is none.", min=0)] = 256,
+    episodes: Annotated[
+        int | None,
+        flag("N", "Unseen episodes of the final comparison; default: 256, fewer where they take long; 0: none.", min=0),
+    ] = None,
     *,
     options: EnvironmentOptions,
 ) -> None:
     """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.
+
+    The last line says whether the policy is better than the best rule, and else what is known to be.
 
     Examples:
         bsk-torch train NadirScan-v1 --minutes 3
@@ -87,6 +92,7 @@ def train(
     """
     from bsk_torch.cli.training import check, check_resumable, configured, evaluated, read, run, several
     from bsk_torch.rl.evaluation.results import print_results
+    from bsk_torch.rl.evaluation.verdict import compared_episodes
     from bsk_torch.rl.policies.shared_policy import shared_baselines
 
     limits = {"frames": frames, "seconds": minutes and 60.0 * minutes}
@@ -108,6 +114,7 @@ def train(
         folder = out or Path("runs") / f"{Path(preset).name.replace(':', '_')}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
         check(runs)
+    episodes = compared_episodes(config) if episodes is None else episodes
     env = environment(config.preset, episodes, config.options) if episodes else None
     results = {name: evaluated(name, rule, env, seed) for name, rule in shared_baselines(env, seed).items()} if env else {}
     trained: dict[str, Evaluation] = {}

@@ -94,7 +94,7 @@ def run(
     else:
         with working("drawing"):
             draw(policy, results, config, folder)
-    echo(told(training))
+    echo(told(training, results))
     return results.get(TRAINED), training.interrupted
 
 

@@ -19,6 +19,7 @@ from bsk_torch.env.assembly.fleets import FleetBuilder
 from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
 from bsk_torch.env.satellite_group import SatelliteGroup, begin_tasks
+from bsk_torch.env.seeds import SEED_LIMIT, episode_seed
 from bsk_torch.rand import Key
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
@@ -26,9 +27,6 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import FINITE
-
-SEED_LIMIT = 2**63
-"""Exclusive upper limit of seeds."""
 
 ENDLESS = 2**31
 """Seconds after which Basilisk's clock stops an episode without limit; the Sun's ephemeris ends earlier."""
@@ -160,7 +158,7 @@ class Episodes(EnvBase):
         return self.state.returns
 
     def _set_seed(self, seed: int | None) -> None:
-        value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1)
+        value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else episode_seed(seed)
         self.state.seed = torch.full_like(self.state.seed, value)
         self.state.episode = torch.full_like(self.episode, -1)
 
@@ -175,7 +173,7 @@ class Episodes(EnvBase):
         if len(numbers) != count:
             raise ValueError(f"seed has {len(numbers)} entries; it must be an integer or have {count}, one per environment")
         numbers = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in numbers]
-        numbers = [None if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1) for seed in numbers]
+        numbers = [None if seed is None else episode_seed(seed) for seed in numbers]
         rows = torch.tensor([seed is not None for seed in numbers], device=self.device)
         rows = rows if mask is None else rows & mask
         values = torch.tensor([seed or 0 for seed in numbers], dtype=torch.int64, device=self.device)

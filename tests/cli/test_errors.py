@@ -83,6 +83,7 @@ REFUSALS: list[tuple[str, int, list[str]]] = [
     ("eval random --seeds -3", 1, ["--seeds '-3' names no episode"]),
     (f"eval random --seeds 0:{2**70}", 1, ["seeds must be at most"]),
     ("eval random --seeds 0:99999999999", 1, ["more than 10000000 episodes"]),
+    (f"eval random --backend eager --seeds {2**60}", 1, ["held out", "bsk-torch bench"]),
     ("eval random --out empty", 1, ["'empty' is a folder"]),
     ("eval random --out nowhere/x", 1, ["there is no folder 'nowhere'"]),
     ("eval random --episodes-out nowhere/x", 1, ["there is no folder 'nowhere'"]),

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
+from bsk_torch.env.seeds import suite_episodes
 from bsk_torch.lab.basilisk.flight import lacking
 from bsk_torch.lab.suites.suite import Entrant, Task, enter
 from bsk_torch.rand import Key
@@ -138,6 +139,7 @@ class BenchCertificate:
         }
 
 
+@suite_episodes()
 def certify_bench(task: Task, entrant: Entrant, episodes: int, **options: object) -> BenchCertificate | None:
     """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters, and its tasks on Basilisk; None without one.
 

@@ -19,6 +19,7 @@ from torchrl.data import Composite
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy, decide
+from bsk_torch.env.seeds import suite_episodes
 from bsk_torch.lab.basilisk.flight import FLOWN, Flight, Pilot, Problem, Start, lacking, problem_of, replay_pilot, starts_of
 from bsk_torch.lab.bounds.schedule import ScheduledPolicy
 from bsk_torch.lab.planners.planner import Planner
@@ -89,6 +90,7 @@ class Certificate:
         }
 
 
+@suite_episodes()
 def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> Certificate | None:
     """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None if it has none.
 

@@ -129,7 +129,8 @@ def bench(
                     row = results.setdefault(name, {})[task.title] = result_of(score, scale.get(task.title))
                     fly = certifiers.get(task.preset)
                     flight = None if fly is None else fly(task, entrant, certify, **options)
-                    row |= {"library": entrant.library} | ({} if flight is None else {"basilisk": flight.summary()})
+                    row |= {"library": entrant.library, "training": entrant.training(task.preset)}
+                    row |= {} if flight is None else {"basilisk": flight.summary()}
                 if out is not None:  # after each task, so that nothing is lost if the run is killed
                     content = document(suite, tasks, max(counts.values()), results) | ({"failed": failed} if failed else {})
                     write_file(out, json.dumps(content, indent=1) + "\n")

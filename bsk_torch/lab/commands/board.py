@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,10 +14,18 @@ from bsk_torch.cli.terminal import fail, print_message, refusing
 from bsk_torch.lab.commands.results import Returns
 from bsk_torch.lab.suites.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
 from bsk_torch.lab.suites.suite import references
+from bsk_torch.rl.policies.files import TRAINING
 from bsk_torch.sim.names import nearest
 
 THRESHOLDS, MARGIN = 201, 0.05
 """Number of scores at which performance profiles are computed, and how far these lie outside of all scores."""
+
+
+TRACKS = {"250k": 250_000, "2.5M": 2_500_000}
+"""Budget tracks by name: the most decisions from which a policy of a track is learned."""
+
+WHOLE_BATCHES = 1.1
+"""Factor by which a training may exceed its track, as it ends with a whole batch."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +40,7 @@ class Board:
         against: Method with which the others are compared.
         flights: Episodes repeated on Basilisk by method: those that are the same, and all.
         libraries: Libraries that made the policies of each method, with their versions.
+        budgets: What the most expensive training of each method has cost, see :func:`budget_of`.
     """
 
     suite: str
@@ -39,6 +50,7 @@ class Board:
     against: str
     flights: Mapping[str, tuple[int, int]]
     libraries: Mapping[str, list[str]]
+    budgets: Mapping[str, dict[str, Any] | None]
 
     def measures(self, method: str) -> dict[str, Interval]:
         """Return the aggregates of a method, and the probability that it is better than ``against``, with their intervals."""
@@ -87,13 +99,31 @@ def board_of(
         fail(f"--against {against!r} is not a method; {nearest(against, methods)}")
     runs = {name: {task: scores_of(rows[task], group, suite, task) for task in tasks} for name, group in methods.items()}
     with refusing():
-        replicates = bootstrap(runs)
+        replicates = with_references(bootstrap(runs), [references(suite)[task] for task in tasks])
     scores = {name: run_scores(one) for name, one in runs.items()}
     best = max(scores, key=lambda name: float(AGGREGATES["IQM"](scores[name])))
     played = {name: [rows[task][one] for task in tasks for one in group if one in rows[task]] for name, group in methods.items()}
     flights = {name: flights_of(entries) for name, entries in played.items()}
     libraries = {name: sorted({row["library"] for row in entries if "library" in row}) for name, entries in played.items()}
-    return Board(suite, scores, replicates, tasks, against or best, flights, libraries)
+    budgets = {name: budget_of(entries) for name, entries in played.items()}
+    return Board(suite, scores, replicates, tasks, against or best, flights, libraries, budgets)
+
+
+def with_references(replicates: Mapping[str, Tensor], scales: Sequence[Mapping[str, Any]], seed: int = 0) -> dict[str, Tensor]:
+    """Return resampled scores [B, R, T] as those of references that are uncertain, too, the same draws for all methods.
+
+    Args:
+        replicates: Resampled scores by method, with the references at their means.
+        scales: References of each task, see :func:`~bsk_torch.lab.suites.suite.references`. An end with a ``half_width`` is drawn
+            from the normal distribution of that 95 % interval; others count as exact.
+        seed: Seed of the draws.
+    """
+    generator, count = torch.Generator().manual_seed(seed), len(next(iter(replicates.values())))
+    normal = torch.randn(2, count, 1, len(scales), generator=generator, dtype=torch.float64)
+    spread = [[scale[end].get("half_width", 0.0) / NormalDist().inv_cdf(0.975) for scale in scales] for end in ("low", "high")]
+    size = torch.tensor([scale["high"]["return"] - scale["low"]["return"] for scale in scales], dtype=torch.float64)
+    low, high = normal * torch.tensor(spread, dtype=torch.float64).view(2, 1, 1, -1) / size
+    return {name: (drawn - low) / (1.0 + high - low) for name, drawn in replicates.items()}
 
 
 def scores_of(rows: Mapping[str, Mapping[str, object]], policies: Sequence[str], suite: str, task: str) -> Tensor:
@@ -101,6 +131,21 @@ def scores_of(rows: Mapping[str, Mapping[str, object]], policies: Sequence[str],
     low, high = (references(suite)[task][end]["return"] for end in ("low", "high"))
     returns = torch.tensor([rows[policy]["returns"] for policy in policies if policy in rows], dtype=torch.float64)
     return (returns - low) / (high - low)
+
+
+def budget_of(rows: Sequence[Returns]) -> dict[str, Any] | None:
+    """Return the track of a method, and the most that one of its trainings has cost; None if one of them has no record.
+
+    Entries are ``track``, one of :data:`TRACKS`, ``open`` beyond these or ``none`` without training, and
+    :data:`~bsk_torch.rl.policies.files.TRAINING`, of which ``tuning_runs`` may be None, not recorded.
+    """
+    records: list[Mapping[str, Any]] = [dict(record) for row in rows if (record := row.get("training"))]
+    if len(records) < len(rows):
+        return None
+    costs = {name: [record[name] for record in records] for name in TRAINING}
+    most: dict[str, Any] = {name: None if None in every else max(every) for name, every in costs.items()}
+    fitting = (track for track, limit in TRACKS.items() if most["decisions"] <= WHOLE_BATCHES * limit)
+    return {"track": next(fitting, "open") if most["decisions"] else "none", **most}
 
 
 def flights_of(rows: Sequence[Returns]) -> tuple[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bsk_torch import __version__
 from bsk_torch._listed import PREFIX, makings
@@ -19,6 +20,9 @@ from bsk_torch.rl.policies.loading import is_function
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.names import nearest
 
+UNTRAINED: dict[str, Any] = {"decisions": 0, "core_seconds": 0.0, "tuning_runs": None}
+"""What rules and random actions cost; the search for the constants of rules is not recorded."""
+
 
 @dataclass(frozen=True)
 class Named:
@@ -27,10 +31,13 @@ class Named:
     Attributes:
         enter: Returns the environment and the policy; None for a preset that it does not fit.
         library: Library that made the policy, and the version.
+        training: Returns what the training for a preset has cost, with the entries
+            :data:`~bsk_torch.rl.policies.files.TRAINING`; None where that is not recorded.
     """
 
     enter: Entrant
     library: str = f"bsk_torch {__version__}"
+    training: Callable[[str], Mapping[str, Any] | None] = lambda preset: None
 
     def __call__(self, preset: str, make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
         """Enter the policy."""
@@ -45,25 +52,42 @@ def entrant_of(name: str, tasks: Sequence[Task] = (), trust: bool = False) -> Na
     allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
     drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
     if name == PRETRAINED:
-        return Named(lambda preset, make: file_entry(named_policy(name, preset), make, drawn) if preset in makings() else None)
+        return Named(
+            lambda preset, make: file_entry(named_policy(name, preset), make, drawn) if preset in makings() else None,
+            training=published_training,
+        )
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
         choices = [text for text in views if text.partition("=")[0] in allowed]
         options = [text for text in views if text not in choices]
         named_planner(plain, None, options, trust)  # unknown names and options end the program before anything runs
         chosen = dict(view_of(text, allowed) for text in choices)
-        return Named(lambda preset, make: planner_entry(plain, options, chosen, preset, make, trust))
+        base = dict(text.partition("=")[::2] for text in options).get("base", RULES[0])
+        return Named(
+            lambda preset, make: planner_entry(plain, options, chosen, preset, make, trust),
+            training=entrant_of(base, tasks, trust).training,
+        )
     if plain in RULES:
         usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
         settings = usual | dict(view_of(view, allowed) for view in views)
-        return Named(lambda preset, make: rule_entry(plain, settings, make))
+        return Named(lambda preset, make: rule_entry(plain, settings, make), training=lambda preset: UNTRAINED)
     if is_function(name):
         return Named(*entrant_of_user(plain, views))
     policy = named_policy(name, None, trust)
     library = policy.loaded.library
     if not policy.card:
         return Named(lambda preset, make: outside_entry(policy, preset, make), library)
-    return Named(lambda preset, make: file_entry(policy, make, drawn) if preset == policy.preset else None, library)
+    return Named(
+        lambda preset, make: file_entry(policy, make, drawn) if preset == policy.preset else None,
+        library,
+        lambda preset: policy.card.get("training"),
+    )
+
+
+def published_training(preset: str) -> dict[str, Any]:
+    """Return what the training of a pretrained policy has cost, on one thread; how many runs came before it is not recorded."""
+    made = makings()[preset]
+    return {"decisions": made["frames"], "core_seconds": made["seconds"], "tuning_runs": None}
 
 
 def file_entry(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:

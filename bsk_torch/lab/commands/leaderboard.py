@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -133,13 +133,29 @@ def print_board(board: Board) -> None:
             {"method": name, "runs": str(len(board.scores[name]))}
             | {measure: interval_text(values[measure]) for measure in AGGREGATES}
             | {better: interval_text(values["better"]) if "better" in values else ""}
+            | budget_cells(board.budgets[name])
             | {"same on Basilisk": f"{equal} of {repeated}" if repeated else "", "library": ", ".join(board.libraries[name])}
         )
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
-    print_table(table, title, ("library", "mean", "optimality gap", "same on Basilisk", better), left=("method", "library"))
+    expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better)
+    print_table(table, title, expendable, left=("method", "library", "track"))
     print_message(
-        "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes; one run has those of its episodes."
+        "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes, and of the references where these have "
+        "intervals; one run has those of its episodes. Decisions, core-seconds and tuning runs are the most of a training."
     )
+
+
+def budget_cells(budget: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return the cells of what the trainings of a method have cost; see :func:`~bsk_torch.lab.commands.board.budget_of`."""
+    if budget is None:
+        return {"track": "no record"}
+    runs = budget["tuning_runs"]
+    return {
+        "track": budget["track"],
+        "decisions": f"{budget['decisions']:,}",
+        "core-s": f"{budget['core_seconds']:,.0f}",
+        "tuning runs": "no record" if runs is None else f"{runs:,}",
+    }
 
 
 def interval_text(interval: Interval) -> str:
@@ -149,10 +165,11 @@ def interval_text(interval: Interval) -> str:
 
 def document(board: Board) -> dict[str, object]:
     """Return the content of the JSON file."""
-    methods = {
-        name: {measure: interval._asdict() for measure, interval in board.measures(name).items()}
-        | {
+    methods: dict[str, dict[str, object]] = {
+        name: {
+            **{measure: interval._asdict() for measure, interval in board.measures(name).items()},
             "library": board.libraries[name],
+            "training": board.budgets[name],
             "scores": scores.tolist(),
             "basilisk": dict(zip(("same", "episodes"), board.flights[name], strict=True)),
         }

@@ -12,6 +12,14 @@ from bsk_torch.cli.run_folder import Amount, Estimate, Maybe, Summary
 from bsk_torch.untrusted import Count, Word
 
 
+class Training(TypedDict):
+    """What the training of a policy has cost; None for what is not recorded."""
+
+    decisions: Count
+    core_seconds: Annotated[float, Interval(ge=0.0)]
+    tuning_runs: Count | None
+
+
 class Repeated(TypedDict):
     """Episodes that Basilisk has repeated, and how many are the same."""
 
@@ -31,6 +39,7 @@ class Returns(TypedDict):
 
     returns: Annotated[list[Amount], MinLen(1)]
     library: NotRequired[Word]
+    training: NotRequired[Training | None]
     basilisk: NotRequired[Repeated]
 
 
@@ -41,6 +50,7 @@ class Played(Summary):
 
     returns: Annotated[list[Amount], MinLen(1)]
     library: NotRequired[Word]
+    training: NotRequired[Training | None]
     basilisk: NotRequired[Flown]
     score: NotRequired[Estimate]
     seconds_per_decision: Annotated[float, Interval(ge=0.0)]

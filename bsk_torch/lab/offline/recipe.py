@@ -10,10 +10,10 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch._checks import number, whole
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.action_forms import form
+from bsk_torch.env.seeds import episode_seed
 from bsk_torch.lab.offline.behaviors import Behavior, slug
 from bsk_torch.lab.offline.layout import MINARI, STARTS
 from bsk_torch.lab.planners.planner import Planner
-from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS
 from bsk_torch.rl.rules.baselines import LOT
 
 
@@ -53,11 +53,8 @@ class Recipe:
         short = [slug(one.name) for one in self.behaviors]
         if len(set(short)) < len(short) or STARTS in short or MINARI in short:
             raise ValueError(f"behaviors need different names, also as names of folders; they are {short}")
-        if any(seed in SUITE_SEEDS for seed in self.seeds):
-            raise ValueError(
-                f"seeds from {SUITE_SEEDS[0]} to {SUITE_SEEDS[-1]} are those of suites, on which nothing may be trained; "
-                "choose others"
-            )
+        for seed in self.seeds:
+            episode_seed(seed)
         for name, target in self.targets.items():
             _check_target(name, target)
 

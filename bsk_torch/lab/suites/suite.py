@@ -23,8 +23,9 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch._rooms import resolve
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
+from bsk_torch.env.seeds import SUITE_SEEDS, suite_episodes
 from bsk_torch.presets import make
-from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
+from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.rl.policies.shared_policy import as_policy
 from bsk_torch.sim.arguments.values import nearest
@@ -334,6 +335,7 @@ def enter(task: Task, entrant: Entrant, episodes: int | None = None, **options: 
     return env, as_policy(policy, env)
 
 
+@suite_episodes()
 def play(task: Task, entrant: Entrant, episodes: int | None = None, **options: object) -> Score | None:
     """Play the first ``episodes`` of a task with the policy of ``entrant``; see :func:`enter` for arguments and errors."""
     entered = enter(task, entrant, episodes, **options)
@@ -352,7 +354,8 @@ def references(suite: str) -> dict[str, dict[str, Any]]:
 
     ``low`` is the random policy, and ``high`` the best of the package's rules, policies and, in ``v2``, planners when the suite
     was created. They are means over all episodes, of planners estimated from their gains in the first ones, and are as fixed as
-    the episodes. Suites whose tasks have measures have no references, nor have those whose references are not computed yet.
+    the episodes; such an estimate may have the ``half_width`` of its 95 % interval. Suites whose tasks have measures have no
+    references, nor have those whose references are not computed yet.
     """
     file = Path(__file__).with_name(f"{suite}.json")
     return json.loads(file.read_text()) if file.exists() else {}

@@ -23,9 +23,6 @@ from bsk_torch.wrappers.policies import Actor
 FRESH = 1_000_003
 """Added to the training seed to obtain the evaluation seed, whose episodes the policy has not seen."""
 
-SUITE_SEEDS = range(2**60, 2**60 + 2**20)
-"""Seeds of the episodes of suites (:mod:`bsk_torch.lab.suites.suite`), not allowed in training."""
-
 SHARE = "shared(policy, env) lets a policy of one satellite decide for those of a constellation"
 """Advice for a single-satellite policy in a constellation, whose observations are under the names of its groups."""
 

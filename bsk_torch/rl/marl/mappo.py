@@ -333,10 +333,10 @@ class MAPPOLearner:
         for name, part in self._by_group(state).items():
             self.groups[name].load_policy_state(part)
 
-    def save_policy(self, path: Path) -> None:
-        """Write the file of the present policies."""
+    def save_policy(self, path: Path, training: Mapping[str, int | float]) -> None:
+        """Write the file of the present policies, with what their ``training`` has cost."""
         plan, networks = (joined({name: getattr(g, what) for name, g in self.groups.items()}) for what in ("plan", "networks"))
-        save_policy(path, plan, networks, self.config.preset, self.config.options)
+        save_policy(path, plan, networks, self.config.preset, self.config.options, training)
 
     def anneal(self, fraction: float) -> None:
         """Set what depends on the used ``fraction`` of the budget, in all groups."""

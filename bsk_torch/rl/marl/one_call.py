@@ -15,7 +15,7 @@ from bsk_torch.presets import PRESETS
 from bsk_torch.presets.own import OwnEnvironment, Source, enter, enter_named
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.results import TRAINED, Comparison
-from bsk_torch.rl.marl.runs import COMPARED, check_episodes, completed, configure, read_config, training_of
+from bsk_torch.rl.marl.runs import check_episodes, completed, configure, read_config, training_of
 from bsk_torch.rl.networks.plans import observed_sets
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import PPOConfig
@@ -56,7 +56,7 @@ def train(
     resume: bool = False,
     network: str | None = None,
     algorithm: str | None = None,
-    episodes: int = COMPARED,
+    episodes: int | None = None,
     quiet: bool = False,
     **settings: Any,
 ) -> Trained:
@@ -78,7 +78,7 @@ def train(
         network: ``"mlp"``, ``"gru"`` or ``"attention"``; by default ``"attention"`` for constellations and for satellites that
             observe a set of targets, ``"mlp"`` for others.
         algorithm: ``"ppo"``, ``"mappo"`` or ``"ippo"``.
-        episodes: Number of unseen episodes of the comparison; 0 for no comparison.
+        episodes: Number of unseen episodes of the comparison; 0 for no comparison. By default 256, fewer where they take long.
         quiet: Show neither progress nor results.
         **settings: Other settings that differ from the defaults, or the recipe of a preset, such as ``num_envs=256``,
             ``imitate=my_rule`` or ``options={"time_limit": 600.0}``.

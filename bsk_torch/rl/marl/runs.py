@@ -16,15 +16,16 @@ from bsk_torch._listed import LISTED
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS, make
 from bsk_torch.presets.own import OwnEnvironment
-from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
+from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, TRAINED, Comparison, compare, print_results, save_results
+from bsk_torch.rl.evaluation.verdict import compared_episodes, verdict
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, check_setting, load_config, read_settings
 from bsk_torch.rl.training.imitation import OWN, enter_teacher
-from bsk_torch.rl.training.recipes import recipe_of
+from bsk_torch.rl.training.recipes import RECIPES, recipe_of
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.sim.arguments.values import nearest
 
@@ -33,9 +34,6 @@ PPO = "ppo"
 
 ALGORITHMS = (PPO, *CRITICS)
 """Algorithms by which policies are trained."""
-
-COMPARED = 256
-"""Unseen episodes of the comparison at the end of a training, unless it says otherwise."""
 
 
 def is_constellation(preset: str, options: Mapping[str, object] | None = None) -> bool:
@@ -60,7 +58,7 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
 
     Args:
         preset: Name of the environment.
-        network: See :class:`PPOConfig`; None for ``"mlp"`` with one satellite and ``"attention"`` with many.
+        network: See :class:`PPOConfig`; None for ``"attention"`` with many satellites, or a recipe for it; else ``"mlp"``.
         algorithm: One of :data:`ALGORITHMS`; None for ``"ppo"`` with one satellite and ``"mappo"`` with many.
         **changes: Fields of :class:`PPOConfig` or :class:`MAPPOConfig` that differ from the recipe.
 
@@ -68,7 +66,8 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
         ValueError: For an unknown algorithm, network or setting, or one that does not fit the environment.
     """
     many = is_constellation(preset, changes.get("options"))
-    algorithm, network = algorithm or ("mappo" if many else PPO), network or ("attention" if many else "mlp")
+    attentive = many or "attention" in RECIPES.get(preset, {})
+    algorithm, network = algorithm or ("mappo" if many else PPO), network or ("attention" if attentive else "mlp")
     check_network(network)
     if algorithm not in ALGORITHMS:
         raise ValueError(f"algorithm={algorithm!r} must be one of {', '.join(ALGORITHMS)}; {nearest(algorithm, ALGORITHMS)}")
@@ -111,16 +110,16 @@ def training_of(config: PPOConfig, out: Path | str, resume: bool = False) -> Tra
     return (MAPPOTraining if isinstance(config, MAPPOConfig) else Training)(config, Path(out), resume)
 
 
-def train(config: PPOConfig, out: Path | str, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
+def train(config: PPOConfig, out: Path | str, *, episodes: int | None = None, quiet: bool = False) -> TensorDictModuleBase:
     """Train a policy, compare it with random actions, rules and the untrained policy, and leave all of it in folder ``out``.
 
-    Training ends with a table of unseen episodes, the folder and the next command on the standard output; ``evaluation.json`` in
-    the folder has the numbers.
+    Training ends with a table of unseen episodes, the folder, the next command, and whether the policy is better than the best
+    rule, on the standard output; ``evaluation.json`` in the folder has the numbers.
 
     Args:
         config: What to train and how.
         out: The folder of the run; it must not hold anything yet.
-        episodes: Number of unseen episodes of the comparison; 0 for no comparison.
+        episodes: Number of unseen episodes of the comparison; 0 for none. By default 256, fewer where they take long.
         quiet: Show neither the progress bar nor the table. Warnings are logged as always.
 
     Returns:
@@ -134,28 +133,30 @@ def train(config: PPOConfig, out: Path | str, *, episodes: int = COMPARED, quiet
     return completed(training_of(config, out), episodes, quiet, ("untrained",))[0]
 
 
-def resume(out: Path | str, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
+def resume(out: Path | str, *, episodes: int | None = None, quiet: bool = False) -> TensorDictModuleBase:
     """Resume the run in folder ``out``, which an interruption or the end of its budget has left; see :func:`train`."""
     check_episodes(episodes)
     return completed(training_of(read_config(out), out, resume=True), episodes, quiet)[0]
 
 
-def check_episodes(episodes: int) -> None:
+def check_episodes(episodes: int | None) -> None:
     """Raise ValueError for a negative number of episodes."""
-    if episodes < 0:
+    if episodes is not None and episodes < 0:
         raise ValueError(f"episodes={episodes} must be at least 0; 0 compares nothing")
 
 
 def completed(
-    run: Training, episodes: int, quiet: bool, before: Collection[str] = (), kept: bool = True
+    run: Training, episodes: int | None, quiet: bool, before: Collection[str] = (), kept: bool = True
 ) -> tuple[TensorDictModuleBase, Comparison]:
     """Train, compare the policy in as many unseen ``episodes``, under the name of ``before`` also as it is now, and tell.
 
-    The folder of the run remains if it is ``kept``. Returns the policy of one satellite, and the comparison.
+    None for :func:`compared_episodes`. The folder of the run remains if it is ``kept``. Returns the policy of one satellite, and
+    the comparison.
     """
+    config = run.config
+    episodes = compared_episodes(config) if episodes is None else episodes
     if not episodes:
         return run.run(bar=not quiet), Comparison()
-    config = run.config
     env = make(config.preset, num_envs=episodes, **config.options)
     teacher = {config.imitate: shared(baseline(config.imitate, env), env)} if config.imitate in OWN else {}
     results = {name: evaluate(shared(run.policy, env), env, seed=config.seed + FRESH) for name in before}
@@ -167,12 +168,12 @@ def completed(
     save_results(results, run.out / EVALUATION, TRAINED)
     if not quiet:
         print_results(results, f"{config.preset}, {episodes} unseen episodes", TRAINED)
-        sys.stdout.write(f"{told(run)}\n" if kept else "")
+        sys.stdout.write(f"{told(run, results)}\n" if kept else "")
     return policy, results
 
 
-def told(run: Training) -> str:
-    """Return where the results of a run are, and what to do next.
+def told(run: Training, results: Mapping[str, Evaluation]) -> str:
+    """Return where the results of a run are, what to do next, and the :func:`verdict` on its ``results``, if there are any.
 
     That is the command for a report, also that for resuming an interrupted run, or a call where only the user's program has the
     preset or parts of the environment.
@@ -181,8 +182,10 @@ def told(run: Training) -> str:
     objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
     own = re.fullmatch(r"(?!__main__:|own:)[^<>]+:[^<>]+", config.preset)
     if own and not objects:
-        return f"results: {run.out}\nnext: bsk-torch report {folder} --preset {shlex.quote(config.preset)}"
-    if config.preset not in LISTED or objects:
-        return f"results: {run.out}\nnext: bsk_torch.load_policy({str(run.out)!r}, env)"
-    resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""
-    return f"results: {run.out}\nnext: {resumed}bsk-torch report {folder}"
+        lines = f"results: {run.out}\nnext: bsk-torch report {folder} --preset {shlex.quote(config.preset)}"
+    elif config.preset not in LISTED or objects:
+        lines = f"results: {run.out}\nnext: bsk_torch.load_policy({str(run.out)!r}, env)"
+    else:
+        resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""
+        lines = f"results: {run.out}\nnext: {resumed}bsk-torch report {folder}"
+    return f"{lines}\n{verdict(results, config.preset)}".rstrip() if TRAINED in results else lines

@@ -49,6 +49,9 @@ UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueErr
 LARGEST, MOST_PARTS = 2**20, 2**12
 """Largest size in the plan of a file, and the most numbers and names in one of its lists."""
 
+TRAINING: dict[str, float] = {"decisions": 1e15, "core_seconds": 1e12, "tuning_runs": 1e9}
+"""Entries of the optional ``training`` of a file, what the training has cost, with their largest values."""
+
 GROUPS = "groups"
 """Entry with a dictionary like :data:`NETWORK` for each of several groups, by name."""
 
@@ -59,6 +62,7 @@ def save_policy(
     networks: Networks | Mapping[str, Networks],
     preset: str,
     options: Mapping[str, object],
+    training: Mapping[str, int | float] | None = None,
 ) -> None:
     """Write a policy for :func:`policy_of_file`, with the environment used for training.
 
@@ -68,8 +72,11 @@ def save_policy(
         networks: The networks; for several groups, by name.
         preset: Name of the environment.
         options: Changed options of the environment; only plain values are saved.
+        training: What the training has cost, with the entries :data:`TRAINING`; None if unknown.
     """
     card = {"bsk_torch": __version__, "preset": preset, "options": plain(options)}
+    if training is not None:
+        card["training"] = dict(training)
     if isinstance(plan, Mapping):
         assert isinstance(networks, Mapping)
         card |= {GROUPS: {group: _described(plan[group], part) for group, part in networks.items()}}
@@ -150,9 +157,20 @@ def _is_card(card: Mapping[str, object]) -> bool:
         or not all(isinstance(key, str) for key in options)
     ):
         return False
+    if "training" in card and not _is_training(card["training"]):
+        return False
     if options.keys() - plain(options).keys() - set(LOGS) - {name for name in MACHINE if isinstance(options.get(name), str)}:
         return False  # options of other types than those written
     return bool(parts) and all(isinstance(name, str) and _is_network(part) for name, part in parts.items())
+
+
+def _is_training(value: object) -> bool:
+    """Return whether an object says what a training has cost."""
+    return (
+        isinstance(value, dict)
+        and value.keys() == TRAINING.keys()
+        and all(type(value[name]) in (int, float) and 0 <= value[name] <= most for name, most in TRAINING.items())
+    )
 
 
 def _is_network(part: object) -> bool:

@@ -15,10 +15,11 @@ from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.seeds import episode_seed
 from bsk_torch.files import write_file
 from bsk_torch.presets import make
 from bsk_torch.presets.own import enter_named
-from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
+from bsk_torch.rl.evaluation.evaluate import FRESH
 from bsk_torch.rl.networks.plans import check_layers, check_network
 from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
 from bsk_torch.rl.policies.files import LOGS
@@ -68,6 +69,7 @@ LEAST_NUMBERS = {
     "evaluate_episodes": 1,
     "patience": 1,
     "checkpoint_every": 0,
+    "tuning_runs": 0,
 }
 """Integer settings, and their minimum values."""
 
@@ -150,6 +152,8 @@ class PPOConfig:
             as many processes as suit the available cores and ``num_envs``; the configuration of the run has the number.
         ahead: Whether these collect the next batch while one is learned from, so that no core waits. Every batch is then by a
             policy that is exactly one update old; results do not depend on speed, and resume bit for bit.
+        tuning_runs: Number of trainings by which these settings were chosen, as you declare it; the file of the policy records it
+            beside the decisions and core-seconds of this training.
         options: Arguments of the environment that differ from the preset's.
     """
 
@@ -186,6 +190,7 @@ class PPOConfig:
     collector: str = "single"
     workers: int | str = 2
     ahead: bool = False
+    tuning_runs: int = 0
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -212,8 +217,7 @@ class PPOConfig:
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name}={getattr(self, name)!r} must be True or False")
         for seed in (self.seed, self.seed + FRESH):
-            if seed in SUITE_SEEDS:
-                raise ValueError(f"seed={self.seed}: episodes of seed {seed} belong to suites, in which policies are compared")
+            episode_seed(seed)
         self._check_options()
         self._check_names()
         if self.workers != AUTO:

@@ -108,9 +108,9 @@ class Learner:
         """Restore what :meth:`policy_state` returned."""
         self.networks.load_policy_state(state)
 
-    def save_policy(self, path: Path) -> None:
-        """Write the file of the current policy."""
-        save_policy(path, self.plan, self.networks, self.config.preset, self.config.options)
+    def save_policy(self, path: Path, training: Mapping[str, int | float]) -> None:
+        """Write the file of the current policy, with what its ``training`` has cost."""
+        save_policy(path, self.plan, self.networks, self.config.preset, self.config.options, training)
 
     def anneal(self, fraction: float) -> None:
         """Set learning rate, weight of the entropy and what is learned for a used ``fraction`` of the budget."""

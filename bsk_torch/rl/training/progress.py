@@ -25,22 +25,42 @@ class Progress:
     def __init__(self, config: PPOConfig) -> None:
         """Count toward the limits of ``config``."""
         self.config, self.frames, self.before, self.begin = config, 0, 0.0, time.perf_counter()
+        self.cpu_before, self.cpu_begin = 0.0, time.process_time()
 
     def start(self) -> None:
-        """Start the clock."""
-        self.begin = time.perf_counter()
+        """Start the clocks."""
+        self.begin, self.cpu_begin = time.perf_counter(), time.process_time()
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Let the clock stand still."""
-        begin = time.perf_counter()
+        """Let the clocks stand still."""
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         yield
         self.begin += time.perf_counter() - begin
+        self.cpu_begin += time.process_time() - cpu_begin
 
     @property
     def seconds(self) -> float:
         """Training time, s, with that of the part before an interruption."""
         return self.before + time.perf_counter() - self.begin
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of this process, s, likewise."""
+        return self.cpu_before + time.process_time() - self.cpu_begin
+
+    @property
+    def record(self) -> dict[str, int | float]:
+        """What the training has cost so far, for the file of its policy.
+
+        ``core_seconds`` are the CPU time of this process, with evaluations; each other process counts as busy all the time.
+        """
+        others = self.config.processes * self.seconds if self.config.collector != "single" else 0.0
+        return {
+            "decisions": self.frames,
+            "core_seconds": round(self.cpu_seconds + others, 1),
+            "tuning_runs": self.config.tuning_runs,
+        }
 
     @property
     def fraction(self) -> float:

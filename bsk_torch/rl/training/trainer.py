@@ -323,7 +323,7 @@ class Training:
         return self.policy
 
     def _save_policy(self) -> None:
-        self.learner.save_policy(self.out / POLICY)
+        self.learner.save_policy(self.out / POLICY, self.progress.record)
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
@@ -340,7 +340,7 @@ class Training:
             "begun": newest.state_dict() if self.config.ahead else None,
             "generator": torch.get_rng_state(),
             "recent": self.recent.state_dict(),
-            "progress": (self.progress.frames, self.progress.seconds, self.days, self.iteration),
+            "progress": (self.progress.frames, self.progress.seconds, self.progress.cpu_seconds, self.days, self.iteration),
             "best": self.best,
         }
         with self._unless_last(last, CHECKPOINT):
@@ -361,9 +361,10 @@ class Training:
         try:
             self.learner.load_state_dict(saved["learner"])
             self.recent.load_state_dict(saved["recent"])
-            frames, seconds, days, iteration = saved["progress"]
+            frames, seconds, cpu, days, iteration = saved["progress"]
             self.progress.frames, self.iteration = (whole("progress", part, 0, 2**62) for part in (frames, iteration))
-            self.progress.before, self.days = (number("progress", part, 0.0) for part in (seconds, days))
+            times = (number("progress", part, 0.0) for part in (seconds, cpu, days))
+            self.progress.before, self.progress.cpu_before, self.days = times
             self.marks, self.generator, self.best = saved["collected"], saved["generator"], self._checked_best(saved["best"])
             for generator in (self.generator, *(mark["generator"] for mark in self.marks)):
                 torch.Generator().set_state(generator.cpu())

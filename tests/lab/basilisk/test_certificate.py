@@ -9,6 +9,7 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 
+from bsk_torch.env.seeds import suite_episodes
 from bsk_torch.lab.basilisk import FLOWN, certify
 from bsk_torch.lab.basilisk.certificate import (
     TOLERANCE,
@@ -72,6 +73,7 @@ def test_policies_that_read_only_what_is_observed_decide_on_basilisk(preset, nam
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(("preset", "limit"), [("NadirScan-v1", 900.0), ("AEOS-v1", 200.0), ("AEOSPower-v1", 200.0)])
+@suite_episodes()
 def test_a_policy_decides_alike_in_its_environment_and_by_a_vector_in_double_precision(preset, limit):
     """As Basilisk shows it: targets of sets follow from the vector."""
     task = short(preset, time_limit=limit)

@@ -8,10 +8,11 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import SliceSampler
 
 import bsk_torch
+from bsk_torch.env.seeds import SUITE_SEEDS
 from bsk_torch.lab.offline import Behavior, open_dataset, write_dataset
 from bsk_torch.lab.offline.behaviors import slug
 from bsk_torch.lab.planners import planner
-from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, evaluate
+from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.pretrained import pretrained
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.rl.rules.baselines import LOT

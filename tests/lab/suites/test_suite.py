@@ -4,11 +4,17 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 
+from bsk_torch.env.seeds import SUITE_SEEDS, suite_episodes
+from bsk_torch.lab.offline.behaviors import Behavior
+from bsk_torch.lab.offline.recipe import Recipe
 from bsk_torch.lab.suites.suite import EPISODES, SUITES, Timed, bench_folder, normalised, play, ranking, references, tasks_of
-from bsk_torch.presets import PRESETS
-from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, evaluate
+from bsk_torch.presets import PRESETS, make
+from bsk_torch.recording import record
+from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.rules.baselines import random_policy
 from bsk_torch.rl.training.config import PPOConfig
+from bsk_torch.wrappers.gymnasium import GymEnv, GymVectorEnv
+from bsk_torch.wrappers.pettingzoo import parallel_env
 from tests.support.refusals import check_refusals, refusal
 from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 
@@ -89,17 +95,57 @@ def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
     assert [gain.mean for gain in gains.values()] == pytest.approx([-1.0, 0.0, 0.25, 2 / 3])
 
 
-def test_trainings_refuse_seeds_of_suites():
-    seeds = 2**60, 2**60 + 2**20 - 1, 2**60 - 1_000_003
-    check_refusals(refusal(lambda seed=seed: PPOConfig(seed=seed), ValueError, "suites") for seed in seeds)
-    assert PPOConfig(seed=2**59).seed == 2**59
+FIRST, LAST = SUITE_SEEDS[0], SUITE_SEEDS[-1]
+
+
+def refused(*calls):
+    """Rows of a table of calls that start episodes of suites."""
+    return [refusal(call, ValueError, LAST, FIRST, "bsk-torch bench") for call in calls]
+
+
+def test_environments_accept_seeds_of_suites_in_bench_alone():
+    core = make("NadirScan-v1", num_envs=2, backend="eager", env_ids=[0, 0])
+    before = core.state.seed.tolist()
+    check_refusals(
+        refused(
+            lambda: make("NadirScan-v1", seed=LAST, backend="eager"),
+            lambda: core.set_seed(LAST),
+            lambda: core.reseed(LAST),
+            lambda: core.reseed([5, LAST]),
+            lambda: record(core, "random", seed=LAST),
+            lambda: evaluate(idle("", lambda: core)[1], core, seeds=[5, LAST]),
+            lambda: PPOConfig(seed=LAST),
+            lambda: PPOConfig(seed=LAST - FRESH),
+            lambda: Recipe("NadirScan-v1", [Behavior("random", None, 1.0)], [5, LAST]),
+        )
+    )
+    assert core.state.seed.tolist() == before
+    for seed in (FIRST - 1, LAST + 1):
+        core.reseed(seed)
+    with suite_episodes():
+        core.reseed(LAST)
+    assert core.state.seed.tolist() == [LAST, LAST]
+
+
+def test_views_accept_no_seeds_of_suites():
+    single, vector = GymEnv("CWDocking-v1", backend="eager"), GymVectorEnv("CWDocking-v1", num_envs=2, backend="eager")
+    team = parallel_env("CWDocking-v1", backend="eager", deputies=2)
+    check_refusals(
+        refused(
+            lambda: single.reset(seed=LAST),
+            lambda: vector.reset(seed=LAST),
+            lambda: vector.reset(seed=[None, LAST]),
+            lambda: team.reset(seed=LAST),
+        )
+    )
 
 
 @pytest.mark.compiled
 def test_a_score_is_that_of_the_frozen_episodes():
     score = play(NADIR, idle, 3)
     env = NADIR.environment(3)
-    again = evaluate(idle("", lambda: env)[1], env, seeds=range(2**60, 2**60 + 3))
+    with suite_episodes():
+        again = evaluate(idle("", lambda: env)[1], env, seeds=range(2**60, 2**60 + 3))
     assert score.evaluation.returns.tolist() == again.returns.tolist()
     assert 0.0 < score.seconds < 1.0
 
@@ -148,7 +194,8 @@ def test_scenarios_of_aeos_bench_stay():
     found = []
     for task in tasks:
         env = task.environment(2, backend="eager")
-        env.reseed(list(task.seeds(2)))
+        with suite_episodes():
+            env.reseed(list(task.seeds(2)))
         env.reset()
         exists = env.scenario.task_exists
         found.append([env.present.sum(1).tolist(), exists.sum(1).tolist(), int(env.scenario.drawn("task_due")[exists].sum())])
