@@ -231,6 +231,22 @@ def test_claims_and_the_numbers_of_the_rule():
     assert numbers == {"optical_imager": Sharing(), "radar_imager": RADAR}
 
 
+ROUNDED = {"distance", "relative_speed", "speed_limit", "sun_hat_H"}
+"""Properties that rewards read on tensors: a kernel would round them otherwise, and change published returns by that."""
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_what_is_read_is_asked_for(name):
+    """One kernel computes everything that observations, actions and rewards read in ten steps."""
+    few = {"n_targets": 12} if name in OBJECTS else {"n_targets": 100} if name in (*IMAGING, *CONSTELLATIONS) else {}
+    env = make(name, **few) if few else bsk_torch.make(name, num_envs=2, seed=4)
+    state = env.reset()
+    for _ in range(10):
+        state = env.step_and_maybe_reset(env.rand_action(state))[1]
+    missed = {function.__name__ for simulator in env.fleet.simulators for function in simulator.observer.missed}
+    assert missed <= (ROUNDED if name in LINEAR else set())
+
+
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSCity-v1", "CloudyAEOS-v1"])
 @pytest.mark.parametrize("as_set", [False, True])
 def test_few_choices_are_the_first_of_the_preset(name, as_set):

@@ -58,9 +58,28 @@ def test_draws_depend_on_nothing_else(method):
 def test_longer_draws_begin_like_shorter_ones_and_chunks_do_not_show(monkeypatch):
     assert torch.equal(key(5).uniform(7)[:, :4], key(5).uniform(4))
     whole = key(50).uniform(7)
+    monkeypatch.setattr(rand, "philox_kernel", lambda: None)
     monkeypatch.setattr(rand, "BLOCKS_AT_ONCE", 9)  # two rows at a time, and one where a row is larger than that
     assert torch.equal(key(50).uniform(7), whole)
     assert torch.equal(key(3).uniform(101)[:, :7], whole[:3])
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
+def test_numpy_draws_the_numbers_of_the_kernel(count, monkeypatch, caplog):
+    """Without a compiler nothing else changes: for large and negative words, several satellites and moments, too."""
+    words = torch.tensor([0, 3, 2**32 - 1, 2**32, 2**62 + 5, -1])
+    keys = [rand.Key(words, words.flip(0), words.roll(1), "a"), key(9, name="b").of_satellites(torch.tensor([0, 4095]))]
+    keys.append(rand.Key(words, words, words, "c", satellite=torch.arange(6), moment=torch.tensor([0, 1, 10**9, 2**40, 7, 8])))
+    kernel = [each.uniform(count) for each in keys]
+    caplog.set_level("INFO", "bsk_torch.rand")
+
+    def load(source, name):
+        raise RuntimeError("no compiler")
+
+    monkeypatch.setattr(rand, "load", load)
+    monkeypatch.setattr(rand, "philox_kernel", rand.philox_kernel.__wrapped__)
+    assert all(torch.equal(each.uniform(count), numbers) for each, numbers in zip(keys, kernel, strict=True))
+    assert "no compiler" in caplog.text
 
 
 def test_every_part_of_the_key_matters():
@@ -248,6 +267,7 @@ def test_the_satellite_stands_above_the_number_of_the_block():
 def test_chunks_do_not_show_in_draws_of_satellites(monkeypatch):
     several = key(20).of_satellites(torch.tensor([4, 0, 7]))
     whole = several.uniform(7)
+    monkeypatch.setattr(rand, "philox_kernel", lambda: None)
     monkeypatch.setattr(rand, "BLOCKS_AT_ONCE", 9)
     assert torch.equal(several.uniform(7), whole)
 

@@ -67,6 +67,7 @@ class ImageReward(GlobalReward):
             raise ValueError(
                 f"{type(self).__name__} needs a satellite that images targets, such as a sats.ImagingSatellite; {are}"
             )
+        fleet.want("partition_levels")
         for part in imagers:
             part.add_access_filter(functools.partial(self._selectable_by, part.type_index), part.target_types)
 

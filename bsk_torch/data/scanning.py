@@ -12,7 +12,6 @@ from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario, UniformNadirScanning
-from bsk_torch.sim.readout.observables import observable
 
 
 class ScanningTimeReward(GlobalReward):
@@ -43,9 +42,7 @@ class ScanningTimeReward(GlobalReward):
                     f"ScanningTimeReward needs a satellite that stores data, such as one with dyn.ContinuousImagingDynModel; "
                     f"{models} has no {name}"
                 )
-        for part in fleet.satellites:  # in the kernel that reads what is observed
-            level = getattr(type(part.dynamics), "storage_level", None)
-            part.simulator.observer.want([level.function] if isinstance(level, observable) else [])
+        fleet.want("storage_level")
 
     def read_log(self) -> Log:
         """See :meth:`GlobalReward.read_log`; data in the buffer, bit."""

@@ -18,6 +18,7 @@ from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.run.encounters import NEVER
 from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.readout.observables import observable
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
@@ -46,6 +47,12 @@ class SatelliteFleet(Fleet):
         """
         whole, number = self.find(name)
         return OtherSatellite(whole, number, 1)
+
+    def want(self, *names: str) -> None:
+        """Let the kernel that reads what is observed compute properties of dynamics models, too, where satellites have them."""
+        for part in self.satellites:
+            found = [getattr(type(part.dynamics), name, None) for name in names]
+            part.simulator.observer.want([each.function for each in found if isinstance(each, observable)])
 
     def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
         """Return ``read`` of every satellite, [N, S, ...]; ``missing`` for types without it, AttributeError if no type has it."""

@@ -206,6 +206,7 @@ class RSOImageReward(GlobalReward):
                 f"advance={self.advance}: images pay in advance for one imager; there are {len(scenario.imager_names)}"
             )
         self._columns = torch.tensor(scenario.imager_columns, device=fleet.device)
+        fleet.want(*LOGGED)
         imagers, targets = len(scenario.imager_columns), scenario.n_targets
         scopes = targets * imagers if self.multi_imager_credit == "per_imager" else targets
         declare = self.memory.declare

@@ -119,6 +119,7 @@ class DockingReward(data.GlobalReward):
         self.memory.declare("excess_speed", 0.0, fleet.size, low=0.0, high=FINITE)
         self.memory.declare("speeding", 0, fleet.size, low=0)
         self.memory.declare("docked", False, fleet.size)
+        fleet.want("docked", "force_H")  # others only if they are observed: a kernel rounds lengths otherwise than torch
 
     @override
     def read_log(self) -> Log:

@@ -95,6 +95,7 @@ class LitPointsReward(data.GlobalReward):
         self.memory.declare("nearest_cluster", 0.0, fleet.size, 3, low=-1.0, high=1.0)
         for name in ("found", "speeding", "blinded"):
             self.memory.declare(name, 0, fleet.size, low=0)
+        fleet.want("force_H")  # others only if they are observed: a kernel rounds lengths otherwise than torch
         fleet.beginnings.append(self._begin)
 
     @property

@@ -7,6 +7,7 @@ are then refined by root finding on an interpolated ground track.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -15,10 +16,10 @@ from torch import Tensor
 from bsk_torch.astro.geodetic import LARGEST_DEFLECTION
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.access.passes.screen import directions_above, sorted_events
 from bsk_torch.sim.access.visibility.geometry import ABOVE_LIMIT, RISE, SAMPLES_PER_CELL, SET, SHORT_PASS, SearchCells
 from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
-from bsk_torch.sim.access.windows.padded import argsort_by_group
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites
 from bsk_torch.sim.state import entries
@@ -48,12 +49,13 @@ class GroundTrack(NamedTuple):
         return self.start[row] + PLAN_STEP * sample.to(self.start.dtype)  # never of torch's default type, which may be short
 
 
-class CrossingEvents(NamedTuple):
-    """Crossings of the elevation limit in one direction: row, place and time, s, of each, [m]."""
+class PassEvents(NamedTuple):
+    """Events of passes: row, place and sample of each, and whether the search begins or ends within the pass, 1 or 0; [m]."""
 
     row: Tensor
     place: Tensor
-    time: Tensor
+    sample: Tensor
+    at_edge: Tensor
 
 
 class Passes(NamedTuple):
@@ -68,8 +70,10 @@ class Passes(NamedTuple):
     close: Tensor
 
 
-def coarse_screen(track: GroundTrack, places: Sites) -> tuple[Tensor, Tensor, Tensor]:
+def coarse_screen(track: GroundTrack, places: Sites, kernels: bool = True) -> tuple[Tensor, Tensor, Tensor]:
     """Return row, place and cell, [m] each, of all pairs that may be visible from within a cell; a superset of those that are.
+
+    They come in the order of rows, cells and places. ``kernels`` find them, or tensors.
 
     From its middle sample, a satellite turns by at most psi within a cell (one more sample on both sides included), and a place
     is visible within the central angle theta_max of its subsatellite point. So a place can be visible during the cell only if
@@ -95,6 +99,8 @@ def coarse_screen(track: GroundTrack, places: Sites) -> tuple[Tensor, Tensor, Te
     slack = SCREEN_SLACK if places.shift is None else SCREEN_SLACK + 2.0 * LARGEST_DEFLECTION  # which turns theta_max, too
     reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + slack
     cos_reach = torch.cos(reach.clamp(max=torch.pi)).float()
+    if kernels:
+        return directions_above(unit_middle.float(), places.r_LP_P, cos_reach)
     unit_places = places.r_LP_P.float() / radius.float().unsqueeze(-1)
     return _products_above(unit_middle.float(), unit_places, cos_reach)
 
@@ -122,14 +128,13 @@ class PassSearch:
     def __init__(self, visibility: Visibility, track: GroundTrack, places: Sites) -> None:
         """Screen all pairs and classify the samples of those that remain."""
         self.visibility, self.track, self.places = visibility, track, places
-        row, place, cell = coarse_screen(track, places)
+        row, place, cell = coarse_screen(track, places, visibility.kernels)
         begin, end, first = track.start[row], track.end[row], track.time(row, SAMPLES_PER_CELL * cell)
         cells = SearchCells(first, torch.minimum(first + PLAN_STEP * SAMPLES_PER_CELL, end), begin, end)
         # half a step early, so that rounding of a sample's time does not lead to the sample before
-        codes = visibility.events(self.pairs(row, place, 0.5 * PLAN_STEP), cells).to(torch.uint8)
-        pair, sample = torch.nonzero(codes, as_tuple=True)
-        self._events = row[pair], place[pair], cell[pair] * SAMPLES_PER_CELL + sample
-        self._codes = codes[pair, sample]
+        codes = visibility.events(self.pairs(row, place, 0.5 * PLAN_STEP), cells)
+        sort = sorted_events if visibility.kernels else sorted_on_tensors
+        self._starts, self._ends, self._short = map(PassEvents._make, sort(codes, row, place, cell, track.r_BP_P.shape[1] - 1))
 
     def pairs(self, row: Tensor, place: Tensor, early: float = 0.0) -> PlacePairs:
         """Return the pairs of satellites ``row`` [m] and places ``place`` [m]; ground tracks begin ``early`` s sooner."""
@@ -142,32 +147,24 @@ class PassSearch:
 
     def passes(self) -> Passes:
         """Return all passes, in no particular order; FloatingPointError for a ground track that no orbit has."""
-        # of each pair, rises and sets alternate once the ends of the search are counted, so both lists match when sorted
-        starts = self._sorted(self._above_limit_at(0), self._crossings(RISE))
-        stops = self._sorted(self._crossings(SET), self._above_limit_at(self.track.r_BP_P.shape[1] - 1))
-        if len(starts.time) != len(stops.time):
+        # of each pair, rises and sets alternate once the ends of the search are counted, so both sorted lists match
+        starts, ends = self._starts, self._ends
+        if len(starts.row) != len(ends.row):
             raise FloatingPointError("passes rise more often than they set, or the other way: a ground track is that of no orbit")
-        long = Passes(starts.row, starts.place, starts.time, stops.time)
+        long = Passes(starts.row, starts.place, self._times(starts), self._times(ends))
         return Passes(*(torch.cat(parts) for parts in zip(long, self._short_passes(), strict=True)))
 
-    def _with_code(self, bit: int) -> tuple[Tensor, ...]:
-        return tuple(part[(self._codes & bit) > 0] for part in self._events)
-
-    def _above_limit_at(self, sample: int) -> CrossingEvents:
-        """Return the pairs that are above the limit at the first or at the last sample."""
-        row, place, k = self._with_code(ABOVE_LIMIT)
-        at_edge = k == sample
-        return CrossingEvents(row[at_edge], place[at_edge], self.track.time(row, k)[at_edge])
-
-    def _crossings(self, bit: int) -> CrossingEvents:
-        row, place, k = self._with_code(bit)
-        a, b = self.track.time(row, k - 1), self.track.time(row, k)
-        pairs = self.pairs(row, place)
+    def _times(self, events: PassEvents) -> Tensor:
+        """Return the times of events, [m] s: crossings of the limit, or the ends of the search."""
+        times = self.track.time(events.row, events.sample)
+        inner = torch.nonzero(events.at_edge == 0).squeeze(-1)
+        row, place, b = events.row[inner], events.place[inner], times[inner]
+        a, pairs = self.track.time(row, events.sample[inner] - 1), self.pairs(row, place)
         brackets = Brackets(a, b, *(self.visibility.clearance(pairs, time) for time in (a, b)))
-        return CrossingEvents(row, place, self.visibility.crossings(pairs, brackets))
+        return times.index_copy(0, inner, self.visibility.crossings(pairs, brackets))
 
     def _short_passes(self) -> Passes:
-        row, place, k = self._with_code(SHORT_PASS)
+        row, place, k, _ = self._short
         a, b = self.track.time(row, k - 2), self.track.time(row, k)
         pairs = self.pairs(row, place)
         culmination = self.visibility.culminations(pairs, a, b)
@@ -180,7 +177,18 @@ class PassSearch:
         long = closes - opens > SHORTEST_PASS
         return Passes(*(x[long] for x in (row, place, opens, closes)))
 
-    def _sorted(self, *parts: CrossingEvents) -> CrossingEvents:
-        row, place, time = (torch.cat(columns) for columns in zip(*parts, strict=True))
-        order = argsort_by_group(row * self.places.r_LP_P.shape[1] + place, time)
-        return CrossingEvents(row[order], place[order], time[order])
+
+def sorted_on_tensors(codes: Tensor, row: Tensor, place: Tensor, cell: Tensor, last: int) -> Iterator[tuple[Tensor, ...]]:
+    """Yield the same as :func:`~bsk_torch.sim.access.passes.screen.sorted_events`."""
+    bits = codes.to(torch.uint8)
+    pair, k = torch.nonzero(bits, as_tuple=True)
+    code, sample = bits[pair, k], cell[pair] * SAMPLES_PER_CELL + k
+    above = (code & ABOVE_LIMIT) > 0
+    parts = ((code & RISE) > 0, above & (sample == 0)), ((code & SET) > 0, above & (sample == last))
+    most = 1 + int(place.max()) if len(place) else 1
+    for inner, edge in parts:
+        index = torch.nonzero(inner | edge).squeeze(-1)
+        index = index[torch.argsort(row[pair[index]] * most + place[pair[index]], stable=True)]
+        yield row[pair[index]], place[pair[index]], sample[index], edge[index].long()
+    index = torch.nonzero(code & SHORT_PASS).squeeze(-1)
+    yield row[pair[index]], place[pair[index]], sample[index], torch.zeros_like(index)
