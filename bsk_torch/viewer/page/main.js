@@ -8,7 +8,7 @@ import { HillView } from "viewer/hill";
 import { listen } from "viewer/keys";
 import { Live } from "viewer/live";
 import { WorldMap } from "viewer/map";
-import { GREEN, ORANGE, SKY } from "viewer/palette";
+import { GREEN, ORANGE, SKY, actionColor } from "viewer/palette";
 import { Panels } from "viewer/panels";
 import { RADIUS } from "viewer/satellites";
 import { Stage } from "viewer/stage";
@@ -80,6 +80,7 @@ class Viewer {
       this.#restore();
       if (!this.track.scene.hasEarth || (this.recording.places === "points" && !this.viewChosen)) this.setView("hill");
     }
+    document.querySelector("[data-view=hill]").hidden = !this.hasNeighbors;
     this.#trackMenu();
     this.#legend();
   }
@@ -135,6 +136,8 @@ class Viewer {
   }
 
   draw() {
+    byId("working").hidden = !this.busy;
+    byId("working").textContent = this.busy;
     this.narrow = window.innerWidth < 760;
     const { state } = this;
     byId("globe").hidden = this.view !== "globe";
@@ -218,6 +221,7 @@ class Viewer {
 
   setView(view) {
     if (view !== "hill" && !this.track.scene.hasEarth) return;
+    if (view === "hill" && !this.hasNeighbors) return;
     this.view = view;
     for (const button of document.querySelectorAll("#views button")) button.setAttribute("aria-pressed", button.dataset.view === view);
     byId("tools").hidden = view === "hill" && this.recording.places === "none";
@@ -225,10 +229,15 @@ class Viewer {
     this.changed();
   }
 
+  /** Whether there is anything to see near a satellite: others, or what it images or inspects in space. */
+  get hasNeighbors() {
+    return this.recording.satellites.length > 1 || ["points", "orbit"].includes(this.recording.places);
+  }
+
   setFollow(on = !this.follow) {
     const { control } = this.stage;
     if (on && !this.follow) this.before = [control.azimuth, control.elevation, control.distance];
-    if (on) [control.azimuth, control.elevation, control.distance] = [0.35, 0.5, 0.42];
+    if (on) [control.azimuth, control.elevation, control.distance] = [0.35, 0.5, 0.24];
     else if (this.before) [control.azimuth, control.elevation, control.distance] = this.before;
     this.follow = on;
     byId("follow").setAttribute("aria-pressed", on);
@@ -394,9 +403,18 @@ class Viewer {
     }
     if (this.track.scene.stations.length) entries.push([SKY, "square", "ground station"]);
     if (tracks.some((track) => track.links.start.length)) entries.push([ORANGE, "line", "communication"]);
+    if (this.recording.satellites.some(({ instrument }) => instrument?.half_angle)) entries.push([GREEN, "ring", "field of view, in the color of the action"]);
     const item = ([color, shape, text]) =>
       make("li", {}, make("span", { className: `mark ${shape}`, style: { background: color, borderColor: color } }), text);
     byId("legend").replaceChildren(...entries.map(item));
+    byId("modes").replaceChildren(...this.#modes().map(([text, color]) => item([color, "square", text])));
+  }
+
+  /** Actions in the timeline with their colors; numbered ones, such as images of targets, are one. */
+  #modes() {
+    const names = this.recording.satellites.flatMap((satellite, s) => satellite.actions.map((_, action) => [this.recording.actionName(s, action), action]));
+    const modes = new Map(names.map(([name, action]) => [name.replace(/ \d+$/, ""), actionColor(name, action)]));
+    return modes.size > 8 ? [] : [...modes];
   }
 
   /** Start as the address says: #t=1200&satellite=3&view=map&track=2&compare=1&follow=1&play=1. */

@@ -2,7 +2,7 @@
 
 import { make, number } from "viewer/dom";
 import { actionColor } from "viewer/palette";
-import { clock } from "viewer/timeline";
+import { clock, isShare } from "viewer/timeline";
 
 const LIMITS = { low: 0.2, high: 0.8 }; // shares from which on a resource is shown as an alarm
 
@@ -67,7 +67,8 @@ export class Panels {
     if (d >= 0 && track.isAlive(satellite, time)) {
       const { action, target, end } = track.decisions;
       const label = recording.actionName(satellite, action[d]);
-      const aim = target[d] >= 0 ? ` · ${recording.targetName(target[d])}` : "";
+      const priority = track.scene.priority[target[d]];
+      const aim = target[d] >= 0 ? ` · ${recording.targetName(target[d])}${priority > 0 ? `, priority ${priority.toFixed(2)}` : ""}` : "";
       const left = end[d] - time;
       const mark = make("span", { className: "mark square", style: { background: actionColor(label, action[d]) } });
       const rest = left > 0 && Number.isFinite(left) ? `${clock(left)} left` : "";
@@ -182,17 +183,6 @@ export class Panels {
       this.sums.append(make("p", {}, button));
     }
   }
-}
-
-/** Whether all values of a series lie from 0 to 1, and it is a level rather than a sum. */
-function isShare(track, n) {
-  track.shares ??= track.series.map((series, k) => {
-    if (/reward|return/.test(series.name)) return false;
-    const width = track.series.length;
-    for (let j = k; j < track.seriesValues.length; j += width) if (track.seriesValues[j] > 1.001 || track.seriesValues[j] < -1e-6) return false;
-    return true;
-  });
-  return track.shares[n];
 }
 
 function rowOf(array, d) {

@@ -28,7 +28,7 @@ export class TrackLayer {
   }
 
   /** Show the track at t; `ghost` is a color, as which it appears faintly next to another one. */
-  update(t, camera, { selected, show, ghost = null, stations = [] }) {
+  update(t, camera, { selected, show, follow = false, ghost = null, stations = [] }) {
     const { track } = this;
     track.moveTo(t);
     const orbits = this.orbits.uniforms;
@@ -47,12 +47,12 @@ export class TrackLayer {
     for (let s = 0; s < track.count; s++) {
       const place = this.places[s].set(...track.position.subarray(3 * s, 3 * s + 3)).divideScalar(RADIUS);
       const there = track.isPresent(s) && t <= track.duration + 1e-6;
-      const size = SYMBOL * camera.position.distanceTo(place) * (s === selected && !ghost ? 1.35 : 1);
+      const size = SYMBOL * camera.position.distanceTo(place) * (s === selected && !ghost ? (follow ? 3 : 1.35) : 1);
       this.crafts.set(s, there ? place : new Vector3(), track.rotation[s], there ? (ghost ? 0.8 * size : size) : 0);
       if (!there || ghost) continue;
       if (show.instruments && track.isAlive(s, t)) this.#look(s, t);
       if (show.links) this.#downlink(s, t, stations);
-      if (s === selected && show.axes) this.#bodyAxes(s, 3.2 * size);
+      if (s === selected && show.axes) this.#bodyAxes(s, (follow ? 1.7 : 3.2) * size);
     }
     if (show.links && !ghost) for (const [a, b] of track.linksAt(t)) this.#thread(this.places[a], this.places[b], [...rgb(ORANGE), 0.85]);
     for (const lines of [this.rays, this.threads, this.axes]) lines.commit();

@@ -127,7 +127,7 @@ export class Stage {
     for (const [scene, other] of this.stations) other.group.visible = scene === track.scene && state.show.stations;
     stations.cones.mesh.visible = state.show.cones;
     setSize(stations.cones, view);
-    const mine = { selected: state.satellite, show: state.show, stations: state.show.stations ? stations.places : [] };
+    const mine = { selected: state.satellite, show: state.show, follow: state.follow, stations: state.show.stations ? stations.places : [] };
     layer.update(t, camera, mine);
     if (!layer.targets.inOrbit) layer.targets.group.matrix.copy(this.globe.group.matrix);
     stations.group.matrix.copy(this.globe.group.matrix);

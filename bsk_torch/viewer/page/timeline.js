@@ -1,11 +1,13 @@
 // The timeline: decisions of all satellites, resources and intervals of the selected one, rewards and deaths; it is the scrubber.
 
+import { number } from "viewer/dom";
 import { interval } from "viewer/interpolate";
 import { SKY, TRACKS, YELLOW, actionColor } from "viewer/palette";
 
 const LEFT = 92; // CSS pixels for the names of lanes
 const LEFT_NARROW = 62;
-const RIGHT = 10;
+const RIGHT = 42; // for the scales of lanes
+const RIGHT_NARROW = 10;
 const AXIS = 20; // height of the axis of time
 const STEPS = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400];
 
@@ -48,7 +50,7 @@ export class Timeline {
     }
     track.series.forEach((series, n) => {
       if (!track.hasSeries(satellite, n) || (series.name === "sunlit" && track.eclipses[satellite].length)) return;
-      lanes.push({ name: series.label, height: 23, draw: (y, h) => this.#series(state, n, y, h) });
+      lanes.push({ name: series.label, height: many > 6 ? 23 : 30, draw: (y, h) => this.#series(state, n, y, h), scale: (y, h) => this.#scale(state, n, y, h) });
     });
     return lanes;
   }
@@ -59,12 +61,12 @@ export class Timeline {
 
   x(t) {
     const [start, end] = this.range;
-    return this.left + ((t - start) / (end - start)) * (this.width - this.left - RIGHT);
+    return this.left + ((t - start) / (end - start)) * (this.width - this.left - this.right);
   }
 
   time(x) {
     const [start, end] = this.range;
-    return start + ((x - this.left) / (this.width - this.left - RIGHT)) * (end - start);
+    return start + ((x - this.left) / (this.width - this.left - this.right)) * (end - start);
   }
 
   /** Height in CSS pixels that the lanes of a state need. */
@@ -87,7 +89,7 @@ export class Timeline {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
     }
-    Object.assign(this, { width, tall: height, left: width < 560 ? LEFT_NARROW : LEFT });
+    Object.assign(this, { width, tall: height, left: width < 560 ? LEFT_NARROW : LEFT, right: width < 560 ? RIGHT_NARROW : RIGHT });
     if (key !== this.key) this.#drawLanes(state, ratio);
     this.key = key;
     const x = this.x(state.time);
@@ -110,10 +112,11 @@ export class Timeline {
       this.#name(lane, y);
       this.pen.save();
       this.pen.beginPath();
-      this.pen.rect(this.left, y - 1, this.width - this.left - RIGHT + 1, lane.height + 2);
+      this.pen.rect(this.left, y - 1, this.width - this.left - this.right + 1, lane.height + 2);
       this.pen.clip();
       lane.draw(y, lane.height);
       this.pen.restore();
+      if (this.right === RIGHT) lane.scale?.(y, lane.height);
       y += lane.height + 2;
     }
     this.#branches(state);
@@ -123,7 +126,7 @@ export class Timeline {
   #axis() {
     const { pen } = this;
     const [start, end] = this.range;
-    const room = (this.width - this.left - RIGHT) / 74;
+    const room = (this.width - this.left - this.right) / 74;
     const step = STEPS.find((one) => (end - start) / one <= room) ?? STEPS.at(-1);
     pen.font = "11px system-ui, sans-serif";
     pen.textBaseline = "middle";
@@ -191,16 +194,27 @@ export class Timeline {
     const [low, high] = bounds(tracks.map(([track]) => track), state.satellite, n);
     const { pen } = this;
     pen.fillStyle = this.style("--lane");
-    pen.fillRect(this.left, y, this.width - this.left - RIGHT, h);
+    pen.fillRect(this.left, y, this.width - this.left - this.right, h);
     const { bad } = state.track.series[n];
     if (bad && low === 0 && high === 1) {
       pen.fillStyle = this.style("--bad");
-      pen.fillRect(this.left, bad === "high" ? y : y + 0.8 * h, this.width - this.left - RIGHT, 0.2 * h);
+      pen.fillRect(this.left, bad === "high" ? y : y + 0.8 * h, this.width - this.left - this.right, 0.2 * h);
     }
     for (const [track, color] of tracks) {
       if (n >= track.series.length) continue;
       this.#curve(track, state.satellite, n, color, (value) => y + h - 1 - ((value - low) / (high - low)) * (h - 2));
     }
+  }
+
+  /** Values at the top and at the bottom of a lane, at its right. */
+  #scale(state, n, y, h) {
+    const { pen } = this;
+    const share = isShare(state.track, n);
+    const [low, high] = bounds([state.track, ...state.ghosts], state.satellite, n);
+    pen.font = "9.5px system-ui, sans-serif";
+    pen.fillStyle = this.style("--soft");
+    pen.textAlign = "left";
+    for (const [value, at] of [[high, y + 6], [low, y + h - 4]]) pen.fillText(share ? `${100 * value} %` : number(value), this.width - this.right + 5, at);
   }
 
   #curve(track, s, n, color, place) {
@@ -227,7 +241,7 @@ export class Timeline {
     const { pen } = this;
     for (const track of [state.track, ...state.ghosts]) {
       const x = track.branch ? this.x(track.branch.time) : -1;
-      if (x < this.left || x > this.width - RIGHT) continue;
+      if (x < this.left || x > this.width - this.right) continue;
       pen.strokeStyle = this.style("--ink");
       pen.lineWidth = 1;
       pen.setLineDash([2, 3]);
@@ -310,4 +324,15 @@ export function bounds(tracks, s, n) {
   const sum = /reward|return/.test(tracks[0].series[n].name); // not a level between 0 and 1
   if (!sum && low >= 0 && high <= 1.0001) return [0, 1];
   return high > low ? [low, high] : [low, low + 1];
+}
+
+/** Whether all values of a series lie from 0 to 1, and it is a level rather than a sum. */
+export function isShare(track, n) {
+  track.shares ??= track.series.map((series, k) => {
+    if (/reward|return/.test(series.name)) return false;
+    const width = track.series.length;
+    for (let j = k; j < track.seriesValues.length; j += width) if (track.seriesValues[j] > 1.001 || track.seriesValues[j] < -1e-6) return false;
+    return true;
+  });
+  return track.shares[n];
 }
