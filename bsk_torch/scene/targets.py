@@ -84,6 +84,8 @@ class TargetScenario(Scenario):
     """Direction from which elevations over targets are counted; see :class:`Targets`."""
 
     _available: Tensor | None = None
+    _drawn_again: tuple[Tensor, ...] = ()
+    """Rows whose targets have been drawn since :attr:`available` was computed."""
     _link_needs_super = True
 
     @override
@@ -142,9 +144,14 @@ class TargetScenario(Scenario):
     @property
     def available(self) -> Tensor:
         """Whether a target exists and can be selected at the current decision, [N, T] bool."""
-        if self._available is None:
+        if self._available is None or self._drawn_again:
             exists, owner = self.fleet.scenario_state.shared("target_exists")
-            self._available = exists.bool() if owner is None else exists.bool()[owner]
+            if self._available is None or owner is not None:
+                self._available = exists.bool() if owner is None else exists.bool()[owner]
+            else:
+                rows = torch.cat(self._drawn_again)
+                self._available = self._available.index_copy(0, rows, exists[rows].bool())
+            self._drawn_again = ()
         return self._available
 
     @override
@@ -216,7 +223,9 @@ class TargetScenario(Scenario):
     @override
     def _forget_draws(self, rows: Tensor) -> None:
         super()._forget_draws(rows)
-        self._available = None
+        self._drawn_again = (*self._drawn_again, rows)
+        if sum(map(len, self._drawn_again)) > self.fleet.num_envs:
+            self._available, self._drawn_again = None, ()
         for row in rows.tolist() if self._objects else ():
             self._objects.pop(row, None)
 
