@@ -25,12 +25,18 @@ Cells = npt.NDArray[np.object_]
 class Batch:
     """A float64 tensor [N, *shape], of which ``cells`` [*shape] are the entries of a row."""
 
-    dtype, device = torch.float64, torch.device("cpu")
+    device = torch.device("cpu")
     __array_ufunc__ = None  # so that NumPy leaves operators with its arrays to this class
 
     def __init__(self, cells: object) -> None:
-        """Stand for tensors with these entries; one that is no array is that of a tensor [N]."""
+        """Stand for tensors with these entries; anything but an array is the entry of a tensor [N]."""
         self.cells = _cells(cells)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Type of the numbers: those of kernels are float64, or truth values."""
+        truths = all(isinstance(cell, bool) or getattr(cell, "dtype", None) == torch.bool for cell in self.cells.flat)
+        return torch.bool if truths else torch.float64
 
     @property
     def ndim(self) -> int:
@@ -148,6 +154,7 @@ def _reduced(combine: Callable[[Batch, Batch], Batch]) -> Callable[..., Batch]:
 
 
 _sum = _reduced(_add)
+_any, _all = (_reduced(_lifted(f"bitwise_{op}")) for op in ("or", "and"))
 
 
 def _mean(x: Batch, dim: object = None, keepdim: bool = False) -> Batch:
@@ -231,6 +238,8 @@ def _cat(parts: Sequence[Any], dim: int = 0) -> Batch:
 STRUCTURAL: dict[str, Callable[..., Any]] = {
     "sum": _sum,
     "mean": _mean,
+    "any": _any,
+    "all": _all,
     "amax": _reduced(_maximum),
     "amin": _reduced(_minimum),
     "norm": _norm,
@@ -268,7 +277,7 @@ def _to(x: Batch, *args: object, **kwargs: object) -> Batch:
     wanted = {*args, *kwargs.values()} - {"cpu", torch.device("cpu")}
     if wanted - {torch.float64}:
         raise UntraceableError("properties are float64 until they are observed; a kernel does not round them before")
-    return x
+    return _lifted("double")(x) if torch.float64 in wanted else x
 
 
 def _known(name: str, prefix: str) -> str:

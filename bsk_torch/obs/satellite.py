@@ -51,7 +51,7 @@ class SatProperties(Observation):
         self._arrange()
 
     def trace(self) -> None:
-        """Let the kernel of observables compute the properties and functions of users that can be traced."""
+        """Let the kernel of observables compute the user functions that can be traced."""
         for k, function in enumerate(self._functions):
             if function is not None:
                 own, observer = self._as_observable(k, function), self.simulator.observer

@@ -217,6 +217,15 @@ class Observer:
         columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
         return columns_read > 0.5 if kind is bool else columns_read
 
+    def table_of(self, functions: tuple[Function, ...]) -> tuple[Tensor, Tensor]:
+        """Return all that the kernel computes, [N, W], and the columns of vitals there; KeyError unless it computes them."""
+        kernel = self._kernel or self._built()
+        if kernel is None:
+            raise KeyError("there is no kernel of observables")
+        if self._version != self.state.version:
+            self._forget_the_past()
+        return self._read_all(kernel) if self._table is None else self._table, kernel.places(functions)
+
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
         table = self._table = kernel(self.state, self.arcs)
         return table
@@ -437,6 +446,11 @@ class ObserverKernel:
         at, kind = self.layout[function]
         values = table[:, at]
         return values > 0.5 if kind is bool else values.unflatten(1, (3, 3)) if kind is Mat3 else values
+
+    @functools.lru_cache(4)  # noqa: B019  - kernels are few, and kept
+    def places(self, functions: tuple[Function, ...]) -> Tensor:
+        """Return the columns of truth values or numbers, [F]."""
+        return torch.tensor([self.layout[function][0] for function in functions])
 
     def columns(self, functions: tuple[Function, ...], kind: type) -> slice | Tensor | None:
         """Return the columns of several observables; None for one without a kernel, or of another kind: numbers or bool."""

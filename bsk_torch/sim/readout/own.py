@@ -1,4 +1,4 @@
-"""Properties and functions of users, written on tensors, as observables.
+"""Properties and user functions, written on tensors, as observables.
 
 Such a function is called once with satellites whose properties are batches of values of a kernel
 (:class:`bsk_torch.codegen.arrays.Batch`); what it computes of them is then part of the kernel of observables. It may read what
