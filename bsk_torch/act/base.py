@@ -119,10 +119,12 @@ class Entry:
         name: Name of the entry.
         satellite: The satellites, once an environment has been built.
         fsw_type: Flight software added to the satellite's by the action; None for none.
+        begins: Whether :meth:`begin` has anything to do for this satellite, where a class defines it.
     """
 
     satellite: BoundSatellite
     fsw_type: type[FSWModel] | None = None
+    begins = True
 
     def __init__(self, name: str) -> None:
         """Name the entry."""
@@ -217,6 +219,7 @@ class ActionBuilder:
     Attributes:
         n_negative_actions: Number of additional legal negative actions.
         some_legal: Whether an entry always allows its first action.
+        keys: The key of each action, [n_actions], if several entries give one command; None if keys are action numbers.
     """
 
     def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:
@@ -234,12 +237,13 @@ class ActionBuilder:
         self._beginning, self._ending, self._masking = (
             [k for k, entry in numbered if overrides(entry, Action, hook)] for hook in ("begin", "end", "mask")
         )
+        self._beginning = [k for k in self._beginning if self.entries[k].begins]
         self.some_legal = any(entry.first_is_legal for entry in self.entries)
         self._all_legal = torch.ones_like(satellite.simulator.ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
         longest = [LONGEST if k in self._fixed else torch.inf for k, size in enumerate(sizes) for _ in range(size)]
         self._longest = torch.tensor(longest, dtype=torch.float64, device=self._all_legal.device)
         self._table, self._table_draws = cast("ActionTable | None", None), -1
-        self._keys = self._shared_keys()
+        self.keys = self._shared_keys()
         self._commands: dict[int, Tensor | None] = {}
 
     def _shared_keys(self) -> Tensor | None:
@@ -257,6 +261,11 @@ class ActionBuilder:
                 keys[self._starts[k]] = first.setdefault(same, self._starts[k])
         shared = keys != list(range(self.n_actions))
         return torch.tensor(keys, device=self._all_legal.device) if shared else None
+
+    @property
+    def is_table(self) -> bool:
+        """Whether all commands are those of :meth:`table`, and no entry hears of them."""
+        return not (self._deciding or self._beginning or self._ending or self.n_negative_actions)
 
     @property
     def hears_ends(self) -> bool:
@@ -344,7 +353,7 @@ class ActionBuilder:
         if len(self._deciding) == len(self.entries) == 1:
             return self._decided(0, acts, action, previous)
         column = action.clamp(min=0) if self.n_negative_actions else action
-        key = action if self._keys is None else torch.where(action < 0, action, self._keys[column])
+        key = action if self.keys is None else torch.where(action < 0, action, self.keys[column])
         decision = self.table().decision(column, key, previous)
         for k in self._deciding:
             part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)

@@ -144,12 +144,11 @@ class Downlink(DiscreteFSWAction):
         super().link_satellite(satellite)
         if self.until_empty and EMPTY_DOWNLINKS not in satellite.memory:
             satellite.memory.declare(EMPTY_DOWNLINKS, 0, low=0)
+        self.begins = DOWNLINK_TICK in satellite.simulator.state.layout.fields
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: count a downlink from an empty store, and arm the event of an empty store or disarm it."""
         simulator, memory = self.satellite.simulator, self.satellite.memory
-        if DOWNLINK_TICK not in simulator.state.layout.fields:
-            return
         tick = simulator.ticks.double() + math.ceil(LEAST_DOWNLINK / simulator.h)
         if not self.until_empty:
             simulator.write(DOWNLINK_TICK, mask, torch.full_like(tick, DISARMED))
@@ -179,11 +178,12 @@ class Scan(DiscreteFSWAction):
         listed = satellite.simulator.type.instruments
         if listed or self.instrument is not None:
             self.variant = number_of(listed, self.instrument, f"act.Scan {self.name!r}")
+        self.begins = self.variant is not None
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: choose the instrument."""
-        if self.variant is not None:
-            choose_instrument(self.satellite, self.variant, mask)
+        assert self.variant is not None
+        choose_instrument(self.satellite, self.variant, mask)
 
 
 PENDING = "broadcast_pending"

@@ -61,6 +61,6 @@ def angle_between(a: Vec3 | Tensor, b: Vec3 | Tensor) -> Tensor:
         chords = torch.linalg.vector_norm(torch.stack([one - other, one + other]), dim=-1)
         near, far = (2.0 * torch.asin(torch.clamp(0.5 * chords, max=1.0))).unbind(0)
         return torch.where((one * other).sum(-1) > 0.0, near, math.pi - far)
-    a, b = ((Vec3.of(x) if isinstance(x, Tensor) else x).unit() for x in (a, b))
+    a, b = ((x if isinstance(x, Vec3) else Vec3.of(x)).unit() for x in (a, b))
     near, far = (2.0 * torch.asin(torch.clamp(0.5 * chord.norm(), max=1.0)) for chord in (a - b, a + b))
     return torch.where(a.dot(b) > 0.0, near, math.pi - far)

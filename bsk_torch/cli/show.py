@@ -45,7 +45,7 @@ def show_schedule(
         str | None, typer.Argument(help="Environment, such as AEOS-v1; default: all slots.", show_default=False)
     ] = None,
 ) -> None:
-    """Show the order of a tick: all slots, or the components that run in a preset.
+    """Show the order of a tick: all slots, or the components that run in a preset, and what computes the phases of a step.
 
     Examples:
         bsk-torch schedule
@@ -54,10 +54,14 @@ def show_schedule(
     if preset is None:
         echo("\n".join(slot_lines(SCHEDULE)))
         return
+    from bsk_torch.env.native import reason_for_tensors
+
     env = made(preset, 1, {"backend": "eager"})
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)
         echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.type.schedule))]))
+    reason = reason_for_tensors(env)
+    echo(f"Phases of a step: {'kernels of rows' if reason is None else f'on tensors, because of {reason}'}")
 
 
 def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:

@@ -11,7 +11,7 @@ from typing_extensions import override
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
-from bsk_torch.sim.hooks import check_class, check_tensor
+from bsk_torch.sim.hooks import check_class, check_tensor, overrides
 from bsk_torch.sim.state import StateTable
 
 Log = dict[str, Tensor]
@@ -100,6 +100,10 @@ class GlobalReward:
 
     def share(self, links: Tensor) -> None:
         """Share knowledge of collected data after a step, along ``links`` [N, S, S] bool by episode, sender and receiver."""
+
+    def defines(self, hook: str) -> bool:
+        """Return whether a hook is more than that of this class; not to be overridden."""
+        return overrides(self, GlobalReward, hook)
 
     def group_of(self, name: str) -> Hashable:
         """Return what differs between satellites that are simulated as different types; not to be overridden."""

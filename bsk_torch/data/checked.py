@@ -16,7 +16,7 @@ from bsk_torch._checks import no_gradient
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
-from bsk_torch.sim.hooks import ChangeGuard, check_linked, check_tensor, is_of_package, overrides
+from bsk_torch.sim.hooks import ChangeGuard, check_linked, check_tensor, is_of_package
 from bsk_torch.sim.state import SHOWN
 
 REWARD_MEMORY = (
@@ -33,8 +33,8 @@ class CheckedRewarder:
         """Call the hooks of ``rewarder``."""
         self.rewarder, self._name = rewarder, type(rewarder).__name__
         self._guard = None if is_of_package(type(rewarder)) else ChangeGuard()
-        self.terminates = overrides(rewarder, GlobalReward, "is_terminated")
-        self.truncates = overrides(rewarder, GlobalReward, "is_truncated")
+        self.terminates = rewarder.defines("is_terminated")
+        self.truncates = rewarder.defines("is_truncated")
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """Link the rewarder; TypeError if a subclass does not pass the call on to its base class."""

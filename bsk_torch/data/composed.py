@@ -15,6 +15,7 @@ from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
+from bsk_torch.sim.hooks import overrides
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
@@ -70,6 +71,10 @@ class ComposedReward(GlobalReward):
     def names(self) -> list[str]:
         """Name of each term: its class, numbered if there are several."""
         return _numbered(type(rewarder).__name__ for rewarder in self.rewarders)
+
+    @override
+    def defines(self, hook: str) -> bool:
+        return overrides(self, ComposedReward, hook) or any(part.defines(hook) for part in self.rewarders)
 
     @override
     def group_of(self, name: str) -> Hashable:

@@ -117,6 +117,7 @@ class Tasking(Present, MadeOfArguments):
         self.log = StepLog(self.fleet, self.satellites, self.scenario, options.log_envs) if recorded else None
         for satellite, read in zip(self.satellites, trial.read, strict=True):
             satellite.simulator.observer.want(read)
+            satellite.observations.trace()
         self._make_specs(trial.values)
         self._trial = None if trial.calls_user else trial
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)

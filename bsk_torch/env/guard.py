@@ -75,8 +75,8 @@ class EpisodeGuard:
                 mode.__exit__(None, None, None)
             self._lock.release()
 
-    def change(self, envs: Tensor) -> None:
-        """Mark the episodes ``envs``, a mask [N], as being changed by the current call."""
+    def change(self, envs: Tensor | None) -> None:
+        """Mark the episodes ``envs``, a mask [N], as being changed by the current call; None for none after all."""
         self._changing = envs
 
     def replace(self) -> Tensor:

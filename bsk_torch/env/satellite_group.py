@@ -16,6 +16,7 @@ from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK
+from bsk_torch.sim.fleet import as_ticks
 from bsk_torch.sim.hooks import check_tensor, overrides
 from bsk_torch.sim.run.coupled import RunResult
 from bsk_torch.sim.run.encounters import NEVER
@@ -101,7 +102,7 @@ def command(
 
 def whole_ticks(duration: Tensor, h_ns: int) -> Tensor:
     """Return the ticks of ``h_ns`` in a duration [N] s: an event fires at the first tick at or after its time."""
-    return torch.ceil(torch.floor(duration * 1e9 + 0.5) / h_ns).long()
+    return as_ticks(torch.ceil(torch.floor(duration * 1e9 + 0.5) / h_ns))
 
 
 def soonest(ticks: Tensor, count: int) -> Tensor:
@@ -130,7 +131,7 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
     The rows ``last`` [N] have reached the limit of their episode, where the clock stops before the end of a task is evaluated.
     """
     task, state = satellites.task, satellites.simulator.state
-    fired, waited = (task.ends <= state.ticks - last.long()) & moves, task.requires_retasking
+    fired, waited = (task.ends <= state.ticks - as_ticks(last)) & moves, task.requires_retasking
     over = fired if event is None else fired | event
     task.requires_retasking = waited | over
     task.ends = torch.where(fired, NEVER, task.ends)

@@ -18,6 +18,7 @@ from bsk_torch.env import messages
 from bsk_torch.env.action_forms import action_spec, acts, mask_size, mask_spec, read
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.guard import Origin
+from bsk_torch.env.native import NativePhases
 from bsk_torch.env.options import TaskingOptions, parse, takes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.formations import Formation
@@ -88,6 +89,11 @@ class SatelliteTasking(Tasking):
         """The satellites of all environments."""
         return self.satellites[0]
 
+    @functools.cached_property
+    def native(self) -> NativePhases | None:
+        """The phases of a step as kernels; None where they run on tensors, see :mod:`bsk_torch.env.native`."""
+        return NativePhases.of(self)
+
     @property
     def dead(self) -> Tensor:
         """Whether the satellite has died, [N]."""
@@ -119,31 +125,34 @@ class SatelliteTasking(Tasking):
         executed, all_act = moves & acts(action, self.satellite) if goes_on else moves, moves_all and not goes_on
         with self.guard:
             self.guard.check_begun("step()")
+            if all_act and self.native is not None and self.native.applies and self.guard.origin is not Origin.RESTORED:
+                outcome = self.native.advance(action)
+                return self._entries(outcome.pop("duration"), **outcome)
             action = self.satellite.actions.checked(action, None if all_act else executed)
             result = self._advance([action], [executed], moves, all_act)
-            parts = self._entries(result, reward=result.reward.to(self.dtype), **self._ends(result))
+            duration = result.duration.to(self.dtype).unsqueeze(-1)
+            parts = self._entries(duration, reward=result.reward.to(self.dtype), **self._ends(result))
             if self.guard.origin is Origin.RESTORED:
                 self._proven(self._wrapped(parts))
             return parts
 
     def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:
-        return self._wrapped(self._entries(result, **parts))
+        return self._wrapped(self._entries(torch.zeros_like(self.fleet.sim_time).to(self.dtype).unsqueeze(-1), **parts))
 
     def _wrapped(self, entries: dict[str, object]) -> TensorDict:
         return TensorDict(entries, self.batch_size, device=self.device)
 
-    def _entries(self, result: StepResult | None, **parts: object) -> dict[str, object]:
-        """Return ``parts`` with the observations of the present and what a step has come to, or a reset if None."""
+    def _entries(self, duration: Tensor, **parts: object) -> dict[str, object]:
+        """Return ``parts`` with the observations of the present and the ``duration`` [N, 1] of a step, s; 0 after a reset."""
         observations = self.satellite.observations
         in_parts = self.satellite.obs_type is dict
         observation: object = (
             self._cast(observations.get_dict(), self.batch_size) if in_parts else observations.get_vector(self.dtype)
         )
-        duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
         parts["observation"] = observation
         if self.satellite.actions.n_actions:
             parts["action_mask"] = self.satellite.action_mask()
-        parts["duration"] = duration.to(self.dtype).unsqueeze(-1)
+        parts["duration"] = duration
         if counts := self.counts():
             parts["counts"] = counts
         return parts

@@ -84,6 +84,9 @@ class Observation:
         """
         return []
 
+    def trace(self) -> None:
+        """Let the kernel of observables compute users' functions (default: there are none); called after they have been tried."""
+
     def get_obs(self) -> Tensor | Values:
         """Return the current observation: a tensor [N] or [N, ...], or a (possibly nested) dictionary of them by name.
 
@@ -198,6 +201,11 @@ class ObservationBuilder:
     def observables(self) -> list[Function]:
         """Functions of the observables read by entries."""
         return [function for entry in self.entries for function in entry.observables()]
+
+    def trace(self) -> None:
+        """Let the kernel of observables compute what users have written on tensors, where it can."""
+        for entry in self.entries:
+            entry.trace()
 
     def get_dict(self) -> Values:
         """Return all observations by name; repeated names get a number, as in ``target_2``."""

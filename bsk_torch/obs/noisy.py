@@ -81,6 +81,10 @@ class Noisy(Observation):
         return self.observation.observables()
 
     @override
+    def trace(self) -> None:
+        self.observation.trace()
+
+    @override
     def get_obs(self) -> Tensor | Values:
         values = self._reader.values()
         leaves = list(flatten({self.name: values}, len(self.simulator.ticks)))

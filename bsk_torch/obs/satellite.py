@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import math
 from collections.abc import Callable, Mapping
@@ -21,6 +22,7 @@ from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.composition import having
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.readout.observables import Function, observable, vital
+from bsk_torch.sim.readout.own import OwnFunction
 
 
 class SatProperties(Observation):
@@ -44,7 +46,29 @@ class SatProperties(Observation):
         super().link_satellite(satellite)
         self.modules = [None if "fn" in entry else self._module(entry) for entry in self.entries]
         self._functions = [self._function(entry, module) for entry, module in zip(self.entries, self.modules, strict=True)]
-        self._reads = [self._read(*each) for each in zip(self.entries, self.modules, self._functions, strict=True)]
+        self._own: dict[int, OwnFunction] = {}
+        self._reads = [self._read(k) for k in range(len(self.entries))]
+        self._arrange()
+
+    def trace(self) -> None:
+        """Let the kernel of observables compute the user functions that can be traced."""
+        for k, function in enumerate(self._functions):
+            if function is not None:
+                own, observer = self._as_observable(k, function), self.simulator.observer
+                if observer.can_trace(own):
+                    self._own[k] = own
+        if self._own:
+            self.simulator.observer.want(self._own.values())
+            self._arrange()
+
+    def _as_observable(self, k: int, function: UserFunction) -> OwnFunction:
+        entry, module = self.entries[k], self.modules[k]
+        member = None if module is None else inspect.getattr_static(type(module), entry["prop"])
+        user = entry["fn"] if module is None else getattr(member, "fget", member)
+        return OwnFunction(user, module, self.satellite, partial(self._call, entry, module, function), entry["name"])
+
+    def _arrange(self) -> None:
+        """Find the runs of neighboring entries that the kernel computes together."""
         numbered = range(len(self.entries))
         runs = [list(run) for _, run in itertools.groupby(numbered, lambda k: self._observed(k) is None)]
         self._runs = [(run, tuple(quantity for k in run if (quantity := self._observed(k)) is not None)) for run in runs]
@@ -66,7 +90,9 @@ class SatProperties(Observation):
         return None if packaged else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
 
     def _observed(self, k: int) -> Function | None:
-        """Return the function of the k-th entry if it is an observable; vitals are read as methods."""
+        """Return the function of the k-th entry if it is an observable, or traced; vitals are read as methods."""
+        if k in self._own:
+            return self._own[k]
         member = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
         return member.function if isinstance(member, observable) and not isinstance(member, vital) else None
 
@@ -90,8 +116,9 @@ class SatProperties(Observation):
         advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], names)
         raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
-    def _read(self, entry: dict[str, Any], module: object, function: UserFunction | None) -> Callable[[], Any]:
+    def _read(self, k: int) -> Callable[[], Any]:
         """Return the reader of an entry: the column of an observable, a property, or a function, of the user or the package."""
+        entry, module, function = self.entries[k], self.modules[k], self._functions[k]
         if function is not None:
             return partial(self._call, entry, module, function)
         if module is None:
@@ -103,7 +130,11 @@ class SatProperties(Observation):
 
     @override
     def get_obs(self) -> Values:
-        return {entry["name"]: scaled(read(), entry["norm"]) for entry, read in zip(self.entries, self._reads, strict=True)}
+        return {entry["name"]: scaled(self._number(k), entry["norm"]) for k, entry in enumerate(self.entries)}
+
+    def _number(self, k: int) -> Any:
+        own = self._own.get(k)
+        return self._reads[k]() if own is None else self.simulator.observer.read(own)
 
     def get_vector(self) -> Tensor:
         """See :meth:`Observation.get_vector`; neighboring observables are read together."""
@@ -115,7 +146,7 @@ class SatProperties(Observation):
 
     def _column(self, k: int) -> Tensor:
         entry = self.entries[k]
-        value = scaled(self._reads[k](), entry["norm"])
+        value = scaled(self._number(k), entry["norm"])
         return side_by_side(f"{self.name}.{entry['name']}", value, self.simulator.state.rows)
 
     def _norms_of(self, run: list[int], functions: tuple[Function, ...]) -> Tensor:

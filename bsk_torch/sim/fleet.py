@@ -182,8 +182,7 @@ class Fleet(Satellites):
         speed only.
         """
         now = self.ticks
-        remaining = (limit_ticks - now).clamp(min=0)
-        ends = torch.minimum(until - now, remaining).clamp(min=0) * moves
+        ends, remaining = ticks_to_run(now, limit_ticks, until, moves)
         probably = [ends] * len(self.simulators) if expected is None else [ticks - now for ticks in expected]
         parts = []
         for envs in parts_of(self, moves, ends):
@@ -192,6 +191,20 @@ class Fleet(Satellites):
                 simulator, rows = self.simulators[call.k], part.rows[call.k]
                 call.ran = simulator.run(call.ticks, call.expected, call.may_rewind, call.trace, call.followed, rows)
         return together(self, parts)
+
+
+def as_ticks(whole: Tensor) -> Tensor:
+    """Return whole numbers, or truth values, as int64; kernels count in float64, which is exact, too."""
+    return whole.long() if isinstance(whole, Tensor) else whole.double()
+
+
+def ticks_to_run(now: Tensor, limit: Tensor, until: Tensor, moves: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the ticks [N] that the episodes ``moves`` [N] run from the tick ``now`` [N] to ``until`` [N], and all that remain.
+
+    ``limit`` [N] is the last tick of each episode.
+    """
+    remaining = (limit - now).clamp(min=0)
+    return torch.minimum(until - now, remaining).clamp(min=0) * moves, remaining
 
 
 def share(overrides: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:

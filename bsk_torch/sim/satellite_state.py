@@ -128,6 +128,11 @@ class SatelliteState(StateTable):
             clock = self.__dict__["_clock"] = Clock(ticks, time, (ticks._version, time._version))
         return clock.time
 
+    def set_clock(self, ticks: Tensor, time: Tensor) -> None:
+        """Set the ticks since reset, [rows], and the same in s, float64; :meth:`touch` is the caller's."""
+        self.put(ticks=ticks)
+        self.__dict__["_clock"] = Clock(ticks, time, (ticks._version, time._version))
+
     def described(self, title: str) -> Iterator[str]:
         """See :meth:`StateTable.described`: the fields of the components; arguments and results of searches are left out."""
         yield title

@@ -465,6 +465,25 @@ class Simulator:
         state.touch()
         return flown
 
+    def fly(self, ticks: Tensor, most: int, late: bool) -> None:
+        """Advance all rows by ``ticks`` [N], at most by ``most``, where no event ends runs and nothing is traced.
+
+        The clock is the caller's. Arcs are solved further if they are ``late``.
+        """
+        kernel = self.runners.run
+        assert isinstance(kernel, Kernel)
+        if most > ticks_at_once(len(ticks)):
+            self.run(ticks)
+            return
+        if late:
+            self._reach(ticks, None, None)
+        state = self.state
+        tracks = self.lookahead.flight.tracks(self.tick.arc_tracks)
+        kernel.fly(
+            state.planes, ticks, tracks, self.uniform, state.parameters, state.mode, self.flag_table, state.ticks, self.h_ns
+        )
+        state.touch()
+
     def _present_of(self, rows: Tensor | None) -> Tensor | None:
         present = self.present
         return present if present is None or rows is None else present[rows]

@@ -182,6 +182,10 @@ class StateTable:
         self.__dict__[name] = owned(value.to(old.dtype))
         self.__dict__["version"] += 1
 
+    def put(self, **values: Tensor) -> None:
+        """Replace fields by tensors of their shapes and dtypes that no user holds, made outside of inference mode."""
+        self.__dict__.update(values)
+
     def __contains__(self, name: object) -> bool:
         return name in self.fields
 

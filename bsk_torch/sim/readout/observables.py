@@ -27,6 +27,7 @@ from bsk_torch.codegen.trace import Proxy, Tracer
 from bsk_torch.sim.component import Bus, MissingMessageError, neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
 from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.readout.own import OwnFunction
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -170,6 +171,7 @@ class Observer:
         self._values: dict[Function, Tensor] = {}
         self._now: Now | None = None
         self._version = -1  # of the state from which values were read
+        self._own: tuple[OwnFunction, ...] = ()  # users' functions of tensors in the kernel
 
     def want(self, functions: Iterable[Function]) -> None:
         """Add functions to those read at every step, which one kernel then computes together."""
@@ -183,10 +185,14 @@ class Observer:
         """Return an observable, [N] or [N, 3] float64."""
         if self._version != self.state.version:
             self._forget_the_past()
+        if self._own:
+            self._leave_changed()
         value = self._values.get(function)
         if value is None:
             kernel = (self._kernel or self._built()) if self.kernels and function in self.wanted else None
             if kernel is None or function not in kernel.layout:
+                if isinstance(function, OwnFunction):
+                    return function.on_tensors()
                 self.missed[function] = None
                 value = as_tensor(function(self.now))
             else:
@@ -200,6 +206,8 @@ class Observer:
 
         This is faster than one :meth:`read` for each. None unless the kernel computes all of them, and all are of that kind.
         """
+        if self._own:
+            self._leave_changed()
         kernel = (self._kernel or self._built()) if self.kernels and functions else None
         columns = None if kernel is None else kernel.columns(functions, kind)
         if kernel is None or columns is None:
@@ -208,6 +216,15 @@ class Observer:
             self._forget_the_past()
         columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
         return columns_read > 0.5 if kind is bool else columns_read
+
+    def table_of(self, functions: tuple[Function, ...]) -> tuple[Tensor, Tensor]:
+        """Return all that the kernel computes, [N, W], and the columns of vitals there; KeyError unless it computes them."""
+        kernel = self._kernel or self._built()
+        if kernel is None:
+            raise KeyError("there is no kernel of observables")
+        if self._version != self.state.version:
+            self._forget_the_past()
+        return self._read_all(kernel) if self._table is None else self._table, kernel.places(functions)
 
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
         table = self._table = kernel(self.state, self.arcs)
@@ -233,7 +250,23 @@ class Observer:
                 logger.warning("%s; observations are computed on tensors instead, which is slower", error)
                 self._kernel = None
             self.kernels = self._kernel is not None
+            layout = () if self._kernel is None else self._kernel.layout
+            self._own = tuple(function for function in layout if isinstance(function, OwnFunction))
         return self._kernel
+
+    def can_trace(self, function: OwnFunction) -> bool:
+        """Return whether a kernel can compute a user's function of tensors; otherwise a sentence in the log names the reason."""
+        return self.kernels and self._has_kernel(function)
+
+    def _leave_changed(self) -> None:
+        """Compute functions whose variables have changed since they were traced on tensors from now on."""
+        changed = [function for function in self._own if not function.unchanged]
+        if changed:
+            for function in changed:
+                _tell(function, "a variable that it reads has changed")
+            self.wanted = tuple(function for function in self.wanted if function not in changed)
+            self.want(())
+            self._own = ()
 
     def _has_kernel(self, function: Function) -> bool:
         """Return whether a kernel can compute a user's function; otherwise a sentence in the log names the reason."""
@@ -251,7 +284,10 @@ class Observer:
         table = kernel(self.state, self.arcs)
         same = []
         for function in kernel.layout:
-            exact = None if of_package([function]) else as_tensor(function(self.now))
+            if isinstance(function, OwnFunction):
+                exact: Tensor | None = function.on_tensors()
+            else:
+                exact = None if of_package([function]) else as_tensor(function(self.now))
             if exact is None or _alike(exact, kernel.column(table, function)):
                 same.append(function)
             else:
@@ -271,8 +307,14 @@ def _tell(function: Function, why: str) -> None:
     """Log once why a user's function is computed on tensors."""
     if function not in TOLD:
         TOLD.add(function)
-        name = getattr(function, "__name__", repr(function))
-        logger.warning("observable %r is computed on tensors, which is slower: %s", name, why)
+        own, name = isinstance(function, OwnFunction), getattr(function, "__name__", repr(function))
+        logger.log(
+            logging.INFO if own else logging.WARNING,
+            "%s %r is computed on tensors, which is slower: %s",
+            "property" if own else "observable",
+            name,
+            why,
+        )
 
 
 class Moments(NamedTuple):
@@ -404,6 +446,11 @@ class ObserverKernel:
         at, kind = self.layout[function]
         values = table[:, at]
         return values > 0.5 if kind is bool else values.unflatten(1, (3, 3)) if kind is Mat3 else values
+
+    @functools.lru_cache(4)  # noqa: B019  - kernels are few, and kept
+    def places(self, functions: tuple[Function, ...]) -> Tensor:
+        """Return the columns of truth values or numbers, [F]."""
+        return torch.tensor([self.layout[function][0] for function in functions])
 
     def columns(self, functions: tuple[Function, ...], kind: type) -> slice | Tensor | None:
         """Return the columns of several observables; None for one without a kernel, or of another kind: numbers or bool."""
