@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import logging
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 from weakref import WeakSet
 
@@ -208,6 +208,15 @@ class Observer:
             self._forget_the_past()
         columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
         return columns_read > 0.5 if kind is bool else columns_read
+
+    def table(self) -> tuple[Tensor, Mapping[Function, tuple[int | slice, type]]] | None:
+        """Return what the kernel computes, [N, W], and the place of each function in it and its kind; None without a kernel."""
+        kernel = (self._kernel or self._built()) if self.kernels and self.wanted else None
+        if kernel is None:
+            return None
+        if self._version != self.state.version:
+            self._forget_the_past()
+        return self._read_all(kernel) if self._table is None else self._table, kernel.layout
 
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
         table = self._table = kernel(self.state, self.arcs)
