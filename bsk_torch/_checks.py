@@ -12,7 +12,6 @@ from numbers import Integral, Real
 from typing import Any, TypeVar
 
 import numpy as np
-from tensordict import TensorDictBase
 from torch import Tensor
 
 Value = TypeVar("Value")
@@ -34,7 +33,7 @@ def no_gradient(title: str, value: Value) -> Value:
                 f"{title} requires a gradient, and the simulation does not differentiate; use .detach(), or compute it under "
                 "torch.no_grad(), as in: with torch.no_grad(): env.rollout(100, policy)"
             )
-    elif isinstance(value, Mapping | TensorDictBase):
+    elif isinstance(value, Mapping):
         for name, part in value.items():
             no_gradient(f"{title}[{name!r}]", part)
     elif isinstance(value, list | tuple):

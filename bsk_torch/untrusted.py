@@ -21,8 +21,6 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
 
 import torch
 from annotated_types import Interval, Predicate
-from tensordict import TensorDict
-from tensordict._utils_key_json import _encode_key_for_filesystem  # how tensordict names its files
 from torch import Tensor
 
 from bsk_torch._text import visible
@@ -46,6 +44,8 @@ Count = Annotated[int, Interval(ge=0, le=2**62)]
 """A number of things, or a seed."""
 
 if TYPE_CHECKING:
+    from tensordict import TensorDict
+
     Json = Any
 else:
 
@@ -360,6 +360,8 @@ def read_memmap(folder: Path) -> TensorDict:
     Its lists of entries are checked before tensordict reads them: nothing is unpickled, and every file is as large as its shape
     says, so that none is extended. ValueError for anything else; the message names the folder.
     """
+    from tensordict import TensorDict  # which takes long to import
+
     try:
         _check_memmap(folder, ())
         return TensorDict.load_memmap(folder, allow_pickle=False)
@@ -370,6 +372,8 @@ def read_memmap(folder: Path) -> TensorDict:
 
 def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
     """Raise ValueError unless a folder holds a tensordict of tensors, all of whose shapes begin with ``batch``."""
+    from tensordict._utils_key_json import _encode_key_for_filesystem  # how tensordict names its files
+
     meta = parse_json(read_bytes(folder / META, MOST_JSON), dict[str, Json])
     kind, device, shape = meta.pop("_type", None), meta.pop("device", None), _shape(meta.pop("shape", None), batch)
     if kind != TENSORDICT or device not in ("cpu", "None", None):

@@ -35,8 +35,8 @@ class Start(NamedTuple):
 
 
 COMMANDS = r"""
-benchmarks/drop_in.py --episodes 1 --limit 120
-  compiled: scanning bsk_torch\.bsk_rl: \d.* s per episode
+benchmarks/drop_in.py --package bsk_torch.bsk_rl --program scanning --episodes 1 --limit 120
+  compiled: scanning: bsk_torch\.bsk_rl: reset \d.* ms, step \d
 benchmarks/bounds.py --only AEOS-v1/1000 NadirScan-v1 --episodes 1 --iterations 2 --time-limit 900
   compiled: (?s)\| AEOS-v1/1000 \| trained \| .*\| NadirScan-v1 \| rule \|[ ]
 benchmarks/breakdown.py --batches 2 --seconds 0.1 --warm-up 1

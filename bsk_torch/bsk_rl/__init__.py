@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 
 from bsk_torch.bsk_rl.gym import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
+from bsk_torch.bsk_rl.older import renamed_in
 
 __all__ = ["NO_ACTION", "ConstellationTasking", "GeneralSatelliteTasking", "SatelliteTasking"]
 
@@ -30,3 +31,5 @@ for _made in (GeneralSatelliteTasking, SatelliteTasking, ConstellationTasking):
         entry_point=_place,
         vector_entry_point="bsk_torch.bsk_rl.vector:reject_agents" if _made is ConstellationTasking else _place,
     )
+
+__getattr__ = renamed_in(__name__)

@@ -42,6 +42,7 @@ from bsk_torch.bsk_rl.per_episode.rewards import PerEpisodeReward
 from bsk_torch.bsk_rl.per_episode.targets import PerEpisodeTargets
 from bsk_torch.bsk_rl.per_episode.views import view_of
 from bsk_torch.bsk_rl.scene.targets import uniform_priority
+from bsk_torch.bsk_rl.sim.models import core_world, for_one_episode_only
 from bsk_torch.bsk_rl.utils import orbital
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.env import SatelliteTasking as Core
@@ -230,6 +231,13 @@ def check_satellite(satellite: Satellite, untouched: object) -> None:
         raise NotBatchedError(f"satellite {satellite.name} has access filters, or looks for other types than {TARGET_KIND!r}")
 
 
+def check_models(*models: type) -> None:
+    """Raise NotBatchedError for models with hooks that run for one episode."""
+    for model in models:
+        if hooks := for_one_episode_only(model):
+            raise NotBatchedError(f"{model.__name__} has custom code, for one episode: {', '.join(hooks)}")
+
+
 def core_satellite(satellite: Satellite) -> core_sats.Satellite:
     """Return the core's counterpart of a satellite; NotBatchedError for one that has none."""
     for kind in type(satellite).__mro__:
@@ -237,6 +245,7 @@ def core_satellite(satellite: Satellite) -> core_sats.Satellite:
             continue
         if added := sorted(vars(kind).keys() - BODY - IGNORED):
             raise NotBatchedError(f"{kind.__name__} has custom code, for one episode: {', '.join(added)}")
+    check_models(satellite.dyn_type, satellite.fsw_type)
     untouched = type(satellite)(satellite.name)
     check_satellite(satellite, untouched)
     sat_args = changed_arguments(satellite.sat_args_generator, untouched.sat_args_generator)
@@ -291,6 +300,9 @@ def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_e
             for part in parts
         ]
         satellites = [core_satellite(satellite) for satellite in env.satellites]
+        check_models(env.world_type)
+        if "world_type" in arguments:
+            arguments["world_type"] = core_world(env.world_type)
         custom = adapt and type(env.scenario) not in COUNTERPARTS and hasattr(env.scenario, "regenerate_targets")
         return make(
             satellites if make is Constellation else satellites[0],

@@ -1,9 +1,9 @@
 """Arguments of models with their defaults, in the order in which bsk_rl draws them from NumPy's global generator.
 
 bsk_rl collects arguments from the methods of models by name: those of the tasks of the flight software first, the last task
-before the others, then those of the flight software itself, then those of the dynamics. :data:`DYN`, :data:`FSW`, :data:`TASKS`
-and :data:`WORLD` list the arguments declared by each method of each model there; constant values are those of the components
-here. Arguments of components that bsk_rl lacks follow behind.
+before the others, then those of the flight software itself, then those of the dynamics. :mod:`bsk_torch.bsk_rl.methods` lists
+the arguments declared by each method of each model there; constant values are those of the components here. Arguments of
+components that bsk_rl lacks follow behind.
 """
 
 from __future__ import annotations
@@ -16,82 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from bsk_torch.bsk_rl.methods import DYN, FSW, TASKS, WORLD, Methods
 from bsk_torch.bsk_rl.utils.attitude import random_tumble
 from bsk_torch.bsk_rl.utils.orbital import random_epoch, random_orbit
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Distribution
-from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.component import Arg, Component
-from bsk_torch.tasks.objects.dyn import SpaceToSpaceImagingDynModel
 
 __all__ = ["sat_defaults", "world_defaults"]
-
-Methods = dict[str, str]
-"""Names of methods, with the arguments that they declare, separated by spaces."""
-
-DYN: dict[type, Methods] = {
-    dyn.DynamicsModel: {
-        "_utc_init": "utc_init",
-        "setup_spacecraft_hub": "mass width depth height sigma_init omega_init rN vN oe mu min_orbital_radius",
-    },
-    dyn.DisturbanceTorqueDynModel: {"setup_disturbance_torque": "disturbance_vector"},
-    dyn.AtmosphericDragDynModel: {"setup_drag_effector": "dragCoeff panelArea"},
-    dyn.BasicDynamicsModel: {
-        "setup_battery": "batteryStorageCapacity storedCharge_Init",
-        "setup_power_sink": "basePowerDraw",
-        "setup_reaction_wheel_dyn_effector": "wheelSpeeds maxWheelSpeed u_max",
-        "setup_reaction_wheel_power": "rwBasePower rwMechToElecEfficiency rwElecToMechEfficiency",
-        "setup_solar_panel": "panelArea panelEfficiency nHat_B",
-        "setup_thruster_power": "thrusterPowerDraw",
-    },
-    dyn.ImagingDynModel: {
-        "setup_imaging_target": "groundLocationPlanetRadius imageTargetMinimumElevation imageTargetMaximumRange",
-        "setup_instrument": "instrumentBaudRate",
-        "setup_instrument_power_sink": "instrumentPowerDraw",
-        "setup_storage_unit": "dataStorageCapacity bufferNames storageUnitValidCheck storageInit",
-        "setup_transmitter": "transmitterBaudRate transmitterNumBuffers transmitterPacketSize",
-        "setup_transmitter_power_sink": "transmitterPowerDraw",
-    },
-    dyn.ContinuousImagingDynModel: {
-        "setup_imaging_target": "imageTargetMaximumRange",
-        "setup_storage_unit": "dataStorageCapacity storageUnitValidCheck storageInit",
-    },
-    SpaceToSpaceImagingDynModel: {"setup_imaging_target": "imageTargetMaximumRange"},
-    dyn.LOSCommDynModel: {"setup_los_comms": "losMaximumRange"},
-    dyn.ConjunctionDynModel: {"setup_conjunctions": "conjunction_radius conjunction_check_rate"},
-    dyn.MaxRangeDynModel: {"setup_range": "max_range_radius chief_name enforce_range_on_chief"},
-}
-"""Arguments of dynamics models."""
-
-FSW: dict[type, Methods] = {fsw.MagicOrbitalManeuverFSWModel: {"setup_fuel": "dv_available_init"}}
-"""Arguments of flight-software models."""
-
-TASKS: dict[type, dict[str, Methods]] = {
-    fsw.BasicFSWModel: {
-        "MRPControlTask": {"setup_mrp_feedback_rwa": "K Ki P"},
-        "RWDesatTask": {
-            "setup_momentum_dumping": "hs_min maxCounterValue thrMinFireTime desatAttitude",
-            "setup_thruster_mapping": "controlAxes_B thrForceSign",
-        },
-    },
-    fsw.SteeringFSWModel: {"MRPControlTask": {"setup_mrp_steering_rwa": "K1 K3 omega_max servo_Ki servo_P"}},
-    fsw.ImagingFSWModel: {
-        "LocPointTask": {
-            "setup_instrument_controller": "imageAttErrorRequirement imageRateErrorRequirement",
-            "setup_location_pointing": "inst_pHat_B",
-        }
-    },
-}
-"""Arguments of the tasks of flight-software models; a model's task takes the place of that of its bases."""
-
-WORLD: dict[type, Methods] = {
-    world.WorldModel: {"setup_gravity_bodies": "utc_init"},
-    world.AtmosphereWorldModel: {"setup_atmosphere_density_model": "planetRadius baseDensity scaleHeight"},
-    world.GroundStationWorldModel: {
-        "setup_ground_locations": "groundStationsData groundLocationPlanetRadius gsMinimumElevation gsMaximumRange"
-    },
-}
-"""Arguments of world models."""
 
 RANDOM: dict[str, Callable[[], object]] = {
     "utc_init": random_epoch,
@@ -140,7 +72,8 @@ def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, object]:
     tasks = _tasks(fsw_type)
     for name in sorted(tasks):
         args = safe_dict_merge(args, _collected(getattr(fsw_type, name, None), tasks[name], values))
-    return args | {name: value for name, value in values.items() if name not in args and name not in FIXED}
+    replaced = {arg for name in _replaced(dyn_type, _methods(dyn_type, DYN)) for arg in _methods(dyn_type, DYN)[name].split()}
+    return args | {name: value for name, value in values.items() if name not in {*args, *FIXED, *replaced}}
 
 
 def model_defaults(model: type) -> dict[str, object]:
@@ -166,7 +99,7 @@ def _methods(model: type, table: Mapping[type, Methods]) -> Methods:
 def _tasks(model: type) -> dict[str, Methods]:
     """Return the declaring methods of each task of flight software, and the tasks of its subclasses that declare others."""
     listed = {name: methods for base in reversed(model.__mro__) for name, methods in TASKS.get(base, {}).items()}
-    tasks = (name for name in dir(model) if isinstance(getattr(model, name), type) and issubclass(getattr(model, name), fsw.Task))
+    tasks = (name for name in dir(model) if name.endswith("Task"))
     return listed | {name: listed.get(name, {}) for name in tasks}
 
 
@@ -177,9 +110,19 @@ def _collected(model: object, methods: Methods, values: Mapping[str, object]) ->
         marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
         declared = {name: dict(getattr(model, name).defaults) for name in marked}
     args: dict[str, object] = {}
-    for name in sorted({*methods, *declared}):
+    for name in sorted({*methods, *declared} - _replaced(model, methods)):
         safe_dict_merge(declared.get(name) or {arg: values[arg] for arg in methods[name].split()}, args)
     return args
+
+
+def _replaced(model: object, methods: Methods) -> set[str]:
+    """Return the names of methods that a user's model defines without declaring arguments: there are none then, as in bsk_rl."""
+    found = {name: getattr(model, name, None) for name in methods}
+    return {
+        name
+        for name, method in found.items()
+        if method is not None and not method.__module__.startswith("bsk_torch.") and not hasattr(method, "defaults")
+    }
 
 
 def _values(components: tuple[Component, ...], without: str = "") -> dict[str, object]:

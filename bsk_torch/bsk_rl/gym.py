@@ -20,13 +20,14 @@ from bsk_torch.bsk_rl.comm.communication import CommunicationMethod, NoCommunica
 from bsk_torch.bsk_rl.data.base import GlobalReward
 from bsk_torch.bsk_rl.data.composition import ComposedReward
 from bsk_torch.bsk_rl.data.no_data import NoReward
-from bsk_torch.bsk_rl.defaults import world_defaults
+from bsk_torch.bsk_rl.older import check_arguments
 from bsk_torch.bsk_rl.sats.satellite import Satellite
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.sim.engine import Engine
+from bsk_torch.bsk_rl.sim.models import for_one_episode
 from bsk_torch.bsk_rl.sim.simulator import Simulator
-from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, SimFormatter
-from bsk_torch.env.action_forms import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
+from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, SimFormatter, say
+from bsk_torch.env.no_action import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, SHORTEST_TICK
 from bsk_torch.sim.component import UserArguments
@@ -58,7 +59,7 @@ MultiSatObs = tuple[SatObs, ...]
 MultiSatAct = Iterable[SatAct]
 SatArgRandomizer = Callable[[list[Satellite]], Mapping[Satellite, UserArguments]]
 
-VIZARD = "files for Vizard are not written; leave the argument out, the episodes are the same. 'bsk-torch film' makes films"
+VIZARD = "files for Vizard are not written, the episodes are the same; 'bsk-torch view' shows environments in the browser"
 
 
 class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
@@ -91,6 +92,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         **kwargs: Any,
     ) -> Any:
         """Return an environment, or with ``num_envs`` the vector form, :mod:`bsk_torch.bsk_rl.vector`."""
+        check_arguments(cls, kwargs)
         if num_envs is None:
             for name, value in (("vectorize", vectorize), ("autoreset_mode", autoreset_mode)):
                 if value is not None:
@@ -145,7 +147,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             dtype: Type of observations; that of each satellite unless given.
             log_level: Level of the log.
             log_dir: File that gets the log, too.
-            vizard_dir: None; raises NotImplementedError otherwise, since no files for Vizard are written.
+            vizard_dir: Ignored with a warning: no files for Vizard are written.
             vizard_settings: Ignored without ``vizard_dir``, with a warning, as in bsk_rl.
             render_mode: Not used, as in bsk_rl.
             backend: ``"compiled"``, or ``"eager"`` for machines without a compiler; not in bsk_rl.
@@ -159,8 +161,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.seed: int | None = None
         self._configure_logging(log_level, log_dir)
         if vizard_dir is not None:
-            raise NotImplementedError(f"vizard_dir={vizard_dir!r}: {VIZARD}")
-        if vizard_settings is not None:
+            say(logger, "vizard_dir=%r: %s", vizard_dir, VIZARD)
+        elif vizard_settings is not None:
             logger.warning("Vizard settings provided but Vizard is not enabled. Ignoring settings.")
         self.vizard_settings = dict(vizard_settings or {})
         listed = [satellites] if isinstance(satellites, Satellite) else list(satellites)
@@ -177,8 +179,9 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         required = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
         if world_type is not None:
             logger.warning("Using user-specified world type. Generally, the env-determined world type is sufficient.")
-        self.world_type = compose(tuple(required) if world_type is None else world_type, WorldModel)
-        self.world_args_generator = _world_args(self.world_type, world_args or {})
+        given = required if world_type is None else (world_type,) if isinstance(world_type, type) else world_type
+        self.world_type = compose(tuple(for_one_episode(model) for model in given), WorldModel)
+        self.world_args_generator = self.world_type.default_world_args(**(world_args or {}))
         self.scenario = deepcopy(scenario) or Scenario()
         self.scenario.link_satellites(self.satellites)
         copied: Any = deepcopy(list(rewarder) if isinstance(rewarder, Iterable) else rewarder) or NoReward()
@@ -272,15 +275,18 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
     def _begin(self) -> None:
         """Call the hooks while and after the simulation is made."""
-        for part in (self.scenario, self.rewarder, self.communicator):
+        world = self.simulator.world
+        for part in (world, self.scenario, self.rewarder, self.communicator):
             part.reset_during_sim_init()
         for satellite in self.satellites:
-            satellite.reset_during_sim_init()
+            for each in (satellite, satellite.dynamics, satellite.fsw):
+                each.reset_during_sim_init()
         self.simulator.finish_init()
-        for part in (self.scenario, self.rewarder, self.communicator):
+        for part in (world, self.scenario, self.rewarder, self.communicator):
             part.reset_post_sim_init()
         for satellite in self.satellites:
-            satellite.reset_post_sim_init()
+            for each in (satellite, satellite.dynamics, satellite.fsw):
+                each.reset_post_sim_init()
             satellite.data_store.update_from_logs()
 
     def delete_simulator(self) -> None:
@@ -388,15 +394,6 @@ def _rename_duplicates(satellites: Sequence[Satellite]) -> None:
         for k, satellite in enumerate([satellite for satellite in satellites if satellite.name == twice]):
             logger.warning("Renaming satellite %s to %s", twice, f"{twice}_{k}")
             satellite.name = f"{twice}_{k}"
-
-
-def _world_args(world_type: type[WorldModel], values: Mapping[str, object]) -> dict[str, Any]:
-    args = world_defaults(world_type)
-    for name, value in values.items():
-        if name not in args:
-            raise KeyError(f"{name} is not a valid key for world_args; {nearest(name, args)}")
-        args[name] = value
-    return args
 
 
 class SatelliteTasking(GeneralSatelliteTasking[SatObs, SatAct]):

@@ -23,7 +23,7 @@ from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError, batched_core
 from bsk_torch.bsk_rl.batch_agents import AgentsVector, BatchedAgentsVectorEnv, ByAgent
 from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking
-from bsk_torch.bsk_rl.utils.logging_config import ContextFilter
+from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, say
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
@@ -80,7 +80,7 @@ def vector_form(
             return BatchedVectorEnv(core, autoreset_mode=mode)
     envs: list[Any] = [first, *(make(*args, **kwargs) for _ in range(count - 1))]
     if count > 1:
-        logger.warning("%s: %d simulations side by side, which is slow: %s. %s", make.__name__, count, why, FASTER)
+        say(logger, "%s: %d simulations side by side, which is slow: %s. %s", make.__name__, count, why, FASTER)
     vector = AgentsVectorEnv if issubclass(make, ConstellationTasking) else EpisodesVectorEnv
     return vector(envs, autoreset_mode=mode)
 

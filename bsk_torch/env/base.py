@@ -24,8 +24,9 @@ from bsk_torch.env.assembly.devices import existing_device
 from bsk_torch.env.assembly.fleets import FleetBuilder, link
 from bsk_torch.env.assembly.randomizer import make_randomizer
 from bsk_torch.env.assembly.trial import check_room, taken_over, try_out
-from bsk_torch.env.episodes import ENDLESS, EpisodePool
+from bsk_torch.env.episodes import EpisodePool
 from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
+from bsk_torch.env.limits import ENDLESS
 from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present

@@ -11,12 +11,11 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from bsk_torch._checks import whole
-from bsk_torch.astro.ephemeris import coverage
-from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.fleets import FleetBuilder
 from bsk_torch.env.guard import EpisodeGuard
+from bsk_torch.env.limits import whole_limit
 from bsk_torch.env.log import StepLog
 from bsk_torch.env.satellite_group import SatelliteGroup, begin_tasks
 from bsk_torch.env.seeds import SEED_LIMIT, episode_seed
@@ -27,9 +26,6 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import FINITE
-
-ENDLESS = 2**31
-"""Seconds after which Basilisk's clock stops an episode without limit; the Sun's ephemeris ends earlier."""
 
 
 class EpisodeState(FleetState):
@@ -207,16 +203,6 @@ class Episodes(EnvBase):
     def _show(self, envs: Tensor) -> None:
         for recording in self.fleet.recordings:
             recording.begin(envs)
-
-
-def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
-    """Return time limits [n] s as numbers of ticks of ``h_ns`` nanoseconds, and the duration of these ticks in seconds.
-
-    Episodes without limit end with the ephemeris; they begin at ET ``et`` [n] s.
-    """
-    seconds = torch.where(torch.isfinite(limit), limit, torch.clamp(coverage()[1] - et, max=ENDLESS))
-    ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / h_ns)
-    return ticks.long(), torch.where(torch.isfinite(limit), ticks * (h_ns * NANO), limit)
 
 
 def read_env_ids(env_ids: object, n: int) -> Tensor:

@@ -137,9 +137,11 @@ class NativePhases:
         add_totals(env.rewarder, reward, self.everywhere)
         env.scenario.finish_step(time)
         self.satellite.memory.touch()
-        table, columns = self.simulator.observer.table_of(self.vitals)
+        observed = self.simulator.observer.table()
+        assert observed is not None  # there are kernels, and vitals are wanted
+        table, kernel = observed
         given = dict(
-            numbers=numbers, table=table, columns=columns, ticks=ticks, limit=limit, counts=counts, dead=task.dead,
+            numbers=numbers, table=table, columns=kernel.places(self.vitals), ticks=ticks, limit=limit, counts=counts, dead=task.dead,
             reward=reward, returns=episodes.returns,
         )  # fmt: skip
         (dead, returns, reward, terminated, truncated, done, duration), _ = self.judge(n, given)

@@ -11,8 +11,9 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bsk_torch.env.episodes import Episodes, whole_limit
+from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.guard import Origin
+from bsk_torch.env.limits import whole_limit
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.assembly.saved_rows import check_saved

@@ -54,11 +54,18 @@ def is_of_package(function: object) -> bool:
     return str(getattr(function, "__module__", "")).startswith(__name__.partition(".")[0] + ".")
 
 
-def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str] = NOTHING) -> None:
+def check_class(
+    cls: type,
+    base: type,
+    hooks: Sequence[str],
+    unused: Mapping[str, str] = NOTHING,
+    runs: Callable[[str, object], bool] | None = None,
+) -> None:
     """Raise TypeError for definitions of a subclass that would never be used; call from ``base.__init_subclass__``.
 
     Bases of the class that do not derive from ``base``, which declares the ``hooks``, are checked with it. ``unused`` are names
-    that a user may expect to be hooks, each with advice what to write instead. Others that are wrong: a hook of classes for one
+    that a user may expect to be hooks, each with advice what to write instead; ``runs`` tells which definitions, by name and
+    value, something else uses. Others that are wrong: a hook of classes for one
     episode, a method of the base class that is final, a public method spelled almost like a hook and callable like it, and a
     hook of another kind than the base class's, or not callable with the arguments of the hook.
     """
@@ -66,6 +73,8 @@ def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str
         if owner is object or (owner is not cls and issubclass(owner, base)):
             continue  # checked when it was defined
         for name, value in vars(owner).items():
+            if runs is not None and runs(name, value):
+                continue
             if name in hooks:
                 _check_hook(f"{cls.__name__}.{name}", value, inspect.getattr_static(base, name))
             elif name in unused:

@@ -13,13 +13,15 @@ import functools
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import torch
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient, whole
+
+if TYPE_CHECKING:
+    from tensordict import TensorDict
 
 Table = TypeVar("Table", bound="StateTable")
 
@@ -301,6 +303,8 @@ class StateTable:
 
     def to_tensordict(self) -> TensorDict:
         """Return a copy of the tree, episodes first: [N, ...], or [N, count, ...] where an episode has several rows."""
+        from tensordict import TensorDict  # which takes long to import, and simulations alone do not need
+
         values: dict[str, object] = {name: self._by_episode(name).clone() for name in self.fields}
         values |= {name: table.to_tensordict() for name, table in self.tables.items()}
         return TensorDict(values, [self.num_envs], device=self.device)
@@ -309,13 +313,13 @@ class StateTable:
         value = getattr(self, name).movedim(-1, 0) if self.fields[name].planes else getattr(self, name)
         return value if self.count == 1 else value.reshape(self.num_envs, self.count, *value.shape[1:])
 
-    def over(self: Table, saved: Mapping[str, Any] | TensorDictBase) -> Table:
+    def over(self: Table, saved: Mapping[str, Any]) -> Table:
         """Return a table of the same kind over saved tensors, which are not copied; :meth:`check` checks their values.
 
         KeyError for missing or unknown names, TypeError for what is no table or tensor, ValueError for another shape or type,
         or a tensor that requires a gradient.
         """
-        if not isinstance(saved, Mapping | TensorDictBase):
+        if not isinstance(saved, Mapping):
             raise TypeError(f"the saved state has {saved!r} in the place of {sorted({*self.fields, *self.tables})}")
         other = copy.copy(self)
         keys = set(saved.keys())

@@ -13,8 +13,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking
-from bsk_torch.env.action_forms import form, is_no_action, read
+from bsk_torch.env.action_forms import form, read
 from bsk_torch.env.base import ResetNeededError, Tasking
+from bsk_torch.env.no_action import is_no_action
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.presets import make
 from bsk_torch.wrappers.solo import SoloTasking, deciding

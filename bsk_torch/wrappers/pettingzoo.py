@@ -16,8 +16,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.env.action_forms import form, is_no_action, mask_size
+from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.env.agents import Group
+from bsk_torch.env.no_action import is_no_action
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, parse_render_mode

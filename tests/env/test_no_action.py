@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch.env.action_forms import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
+from bsk_torch.env.no_action import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
 
 NONE_AT_ALL = [
     None,

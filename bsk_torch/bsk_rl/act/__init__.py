@@ -15,6 +15,7 @@ from bsk_torch.bsk_rl.act.discrete_actions import (
     Scan,
 )
 from bsk_torch.bsk_rl.act.rso_imaging import ImageRSO
+from bsk_torch.bsk_rl.older import renamed_in
 
 __all__ = [
     "Action",
@@ -34,3 +35,5 @@ __all__ = [
     "NadirPoint",
     "Scan",
 ]
+
+__getattr__ = renamed_in(__name__)

@@ -9,6 +9,7 @@ from bsk_torch.bsk_rl.comm.communication import (
     MultiDegreeCommunication,
     NoCommunication,
 )
+from bsk_torch.bsk_rl.older import renamed_in
 
 __all__ = [
     "BroadcastCommunication",
@@ -19,3 +20,5 @@ __all__ = [
     "MultiDegreeCommunication",
     "NoCommunication",
 ]
+
+__getattr__ = renamed_in(__name__)

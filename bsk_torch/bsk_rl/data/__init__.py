@@ -8,6 +8,7 @@ from bsk_torch.bsk_rl.data.resource_data import ResourceReward
 from bsk_torch.bsk_rl.data.rso_imaging import RSOImageData, RSOImageReward, RSOImageStore
 from bsk_torch.bsk_rl.data.rso_inspection import RSOInspectionReward
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageReward
+from bsk_torch.bsk_rl.older import renamed_in
 from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 
 __all__ = [
@@ -25,3 +26,5 @@ __all__ = [
     "ScanningTimeReward",
     "UniqueImageReward",
 ]
+
+__getattr__ = renamed_in(__name__)

@@ -10,6 +10,7 @@ from bsk_torch.bsk_rl.obs.observations import (
 )
 from bsk_torch.bsk_rl.obs.relative_observations import RelativeProperties
 from bsk_torch.bsk_rl.obs.rso_imaging import RSOTargetProperties
+from bsk_torch.bsk_rl.older import renamed_in
 
 __all__ = [
     "Eclipse",
@@ -21,3 +22,5 @@ __all__ = [
     "SatProperties",
     "Time",
 ]
+
+__getattr__ = renamed_in(__name__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -14,8 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup, vectorize_nested_dict
-from bsk_torch.bsk_rl.utils.orbital import rv2HN
+from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup, numbers_of, vectorize_nested_dict
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
@@ -108,17 +107,20 @@ class ObservationBuilder(ResetableGroup):
 
     def obs_dict(self) -> dict[str, object]:
         """Return the observations by name; they are computed once at each time."""
+        return deepcopy(self._obs_dict())
+
+    def _obs_dict(self) -> dict[str, object]:
         if self.obs_dict_cache is None or self.simulator.sim_time != self.obs_cache_time:
             self.obs_dict_cache = {}
             for entry in self.observation_spec:
                 value = entry.get_obs()
                 self.obs_dict_cache[entry.name] = value.astype(self.dtype) if isinstance(value, np.ndarray) else value
             self.obs_cache_time = self.simulator.sim_time
-        return deepcopy(self.obs_dict_cache)
+        return self.obs_dict_cache
 
     def obs_ndarray(self) -> Any:
         """Return the observations as one vector."""
-        return vectorize_nested_dict(self.obs_dict())[1]
+        return numbers_of(self._obs_dict())
 
     def obs_array_keys(self) -> list[str]:
         """Return the names of the entries of :meth:`obs_ndarray`."""
@@ -223,21 +225,35 @@ class Time(Observation):
         return (self.simulator.time_limit - now if self.return_time_remaining else now) / self._norm
 
 
-def _target_angle(satellite: Any, opportunity: Any) -> object:
-    line_P = opportunity["r_LP_P"] - satellite.dynamics.r_BN_P
-    return np.arccos(np.dot(line_P / np.linalg.norm(line_P), satellite.fsw.c_hat_P))
+def _places(opportunities: Sequence[Any]) -> np.ndarray:
+    return np.array([opportunity["object"].r_LP_P for opportunity in opportunities], dtype=float)
 
 
-def _target_angle_rate(satellite: Any, opportunity: Any) -> object:
+def _target_angles(satellite: Any, opportunities: Sequence[Any]) -> Any:
+    lines_P = np.array([opportunity["r_LP_P"] for opportunity in opportunities]) - satellite.dynamics.r_BN_P
+    return np.arccos(lines_P @ satellite.fsw.c_hat_P / np.linalg.norm(lines_P, axis=-1))
+
+
+def _target_angle_rates(satellite: Any, opportunities: Sequence[Any]) -> Any:
     model = satellite.dynamics
-    line_P = opportunity["object"].r_LP_P - model.r_BN_P
-    return np.linalg.norm(model.omega_BP_P - np.cross(model.v_BN_P, line_P) / np.linalg.norm(line_P) ** 2)
+    lines_P = _places(opportunities) - model.r_BN_P
+    turning = np.cross(model.v_BN_P, lines_P) / (lines_P**2).sum(-1, keepdims=True)
+    return np.linalg.norm(model.omega_BP_P - turning, axis=-1)
 
 
-def _r_LB_H(satellite: Any, opportunity: Any) -> object:
+def _lines_H(satellite: Any, opportunities: Sequence[Any]) -> Any:
     model = satellite.dynamics
-    line_N = satellite.simulator.world.PN.T @ opportunity["object"].r_LP_P - model.r_BN_N
-    return rv2HN(model.r_BN_N, model.v_BN_N) @ line_N
+    return (_places(opportunities) @ satellite.simulator.world.PN - np.array(model.r_BN_N)) @ np.array(model.HN).T
+
+
+def _of_one(function: Callable[[Any, Sequence[Any]], Any]) -> Callable[[Any, Any], Any]:
+    """Return the function of one opportunity that a function of several stands for."""
+
+    def of_one(satellite: Any, opportunity: Any) -> Any:
+        return function(satellite, [opportunity])[0]
+
+    of_one.of_all = function  # type: ignore[attr-defined]
+    return of_one
 
 
 class OpportunityProperties(Observation):
@@ -246,12 +262,12 @@ class OpportunityProperties(Observation):
     _fn_map: ClassVar[dict[str, Callable[[Any, Any], Any]]] = {
         "priority": lambda sat, opp: opp["object"].priority,
         "r_LP_P": lambda sat, opp: opp["r_LP_P"],
-        "r_LB_H": _r_LB_H,
+        "r_LB_H": _of_one(_lines_H),
         "opportunity_open": lambda sat, opp: opp["window"][0] - sat.simulator.sim_time,
         "opportunity_mid": lambda sat, opp: sum(opp["window"]) / 2 - sat.simulator.sim_time,
         "opportunity_close": lambda sat, opp: opp["window"][1] - sat.simulator.sim_time,
-        "target_angle": _target_angle,
-        "target_angle_rate": _target_angle_rate,
+        "target_angle": _of_one(_target_angles),
+        "target_angle_rate": _of_one(_target_angle_rates),
     }
 
     def __init__(self, *target_properties: Entry, n_ahead_observe: int, type: str = "target", name: str | None = None) -> None:
@@ -282,12 +298,14 @@ class OpportunityProperties(Observation):
     @override
     def get_obs(self) -> dict[str, object]:
         opportunities = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
-        return {
-            f"{self.name}_{k}": {
-                entry["name"]: entry["fn"](self.satellite, opportunity) / entry["norm"] for entry in self.target_properties
-            }
-            for k, opportunity in enumerate(opportunities)
-        }
+        columns = {entry["name"]: self._column(entry, opportunities) for entry in self.target_properties}
+        return {f"{self.name}_{k}": {name: column[k] for name, column in columns.items()} for k in range(len(opportunities))}
+
+    def _column(self, entry: Entry, opportunities: Sequence[Any]) -> Any:
+        function, norm = entry["fn"], entry["norm"]
+        if hasattr(function, "of_all") and opportunities:
+            return function.of_all(self.satellite, opportunities) / norm
+        return [function(self.satellite, opportunity) / norm for opportunity in opportunities]
 
 
 class Eclipse(Observation):

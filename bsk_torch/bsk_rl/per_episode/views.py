@@ -8,7 +8,7 @@ numbers of that row, and properties and methods of a user's models run with the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -19,6 +19,7 @@ from typing_extensions import override
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
 from bsk_torch.bsk_rl.sats.access_satellite import OpportunityQueries, Types, Window
 from bsk_torch.bsk_rl.sim import messages
+from bsk_torch.bsk_rl.sim.commands import Commanded
 from bsk_torch.bsk_rl.sim.views import of_row
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
@@ -143,11 +144,11 @@ class OneModel(OneView):
         return view_of(self._whole.satellite, self._row)
 
     @property
-    def storageUnit(self) -> messages.ModuleView:
+    def storageUnit(self) -> Commanded:
         """Basilisk's store, with ``storageUnitDataOutMsg.read()``, bit; AttributeError for models without one."""
         module = messages.MODULES["storageUnit"]
         getattr(type(self._whole), module.needs)
-        return messages.ModuleView(self, module.attributes)
+        return Commanded("storageUnit", lambda: None, partial(messages.read_of, self, module.attributes))
 
     @property
     def instrument(self) -> SimpleNamespace:
@@ -224,6 +225,8 @@ class OneSatellite(OneView):
     def sat_args(self) -> OneArguments:
         """Arguments of the current episode."""
         return OneArguments(self._whole.sat_args, self._row)
+
+    model_args = sat_args
 
     @property
     def others(self) -> OneOthers:

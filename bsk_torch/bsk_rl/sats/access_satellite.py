@@ -16,9 +16,9 @@ import numpy as np
 
 from bsk_torch.bsk_rl.sats.satellite import SatAct, Satellite, SatObs
 from bsk_torch.bsk_rl.scene.targets import Target
+from bsk_torch.bsk_rl.sim import dyn, fsw
 from bsk_torch.bsk_rl.sim.simulator import Simulator
 from bsk_torch.bsk_rl.utils.functional import valid_func_name
-from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.access.passes.literal_search import Window, elevation_error, near_samples, near_spans, windows_in
 from bsk_torch.sim.fsw.target import SUN_LIMITS
 

@@ -61,6 +61,8 @@ class Satellite(ABC, ResetableGroup):
     info: list[object]
     trajectory: TrajectorySimulator
     sat_args: dict[str, Any]
+    model_args: dict[str, Any]
+    """Arguments of the episode as ``setup_...`` methods of users' models leave them."""
     backend: str = "compiled"
     core_row: tuple[int, int]
     """Type of the satellite in the core's simulation, and its row there."""

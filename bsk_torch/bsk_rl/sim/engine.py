@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -15,7 +14,11 @@ from bsk_torch._checks import number
 from bsk_torch.act.base import Action as CoreAction
 from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.orbit import periapsis_radius
+from bsk_torch.bsk_rl.sim.commands import arranged
+from bsk_torch.bsk_rl.sim.models import core_world
+from bsk_torch.bsk_rl.sim.setup import changed_arguments
 from bsk_torch.bsk_rl.sim.trajectory import initial_state
+from bsk_torch.codegen.ir import UntraceableError
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.data.base import NoReward
 from bsk_torch.env.assembly.fleets import FleetBuilder
@@ -28,13 +31,14 @@ from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.initial_orbits import HIGHEST_APOAPSIS, LOWEST_PERIAPSIS
-from bsk_torch.sim.component import Arg, UserArguments
+from bsk_torch.sim.component import Arg, MissingMessageError, UserArguments
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
-from bsk_torch.sim.readout.observables import observable
+from bsk_torch.sim.readout.observables import Now, ObserverProgram
+from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.world import WorldModel
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3
 
 BUILT_FOR = ("transmitterNumBuffers", "storageInit")
 """Arguments for which partitions are built, in addition to those that are the same for all environments of the core."""
@@ -43,11 +47,32 @@ WORLD_ONLY = ("utc_init",)
 """Arguments that bsk_rl repeats among those of satellites."""
 
 
+def PN(now: Now) -> Mat3:
+    """DCM from N to the Earth-fixed frame."""
+    return now.PN
+
+
+def omega_PN_N(now: Now) -> Vec3:
+    """Rate of the Earth-fixed frame, rad/s in N."""
+    return now.omega_PN_N
+
+
+def r_SN_N(now: Now) -> Vec3:
+    """Sun relative to the Earth, m in N."""
+    return now.r_SN_N
+
+
+SKY = {function.__name__: function for function in (PN, omega_PN_N, r_SN_N)}
+"""Properties of the world that the kernel of observables computes."""
+
+
 def described_type(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel], holds: bool) -> type[CoreSatellite]:
     """Return the core's satellite class for two models; with ``holds`` its flight software follows set-points, too."""
     added = [AttitudeSetpointFSWModel] if holds else []
     if issubclass(fsw_type, MagicOrbitalManeuverFSWModel):
         added.append(InertialHoldFSWModel)  # type: ignore[arg-type]
+    if (own := arranged(dyn_type, fsw_type)) is not None:
+        added.append(own)  # type: ignore[arg-type]
     return _described(dyn_type, compose((fsw_type, *added), FSWModel) if added else fsw_type)  # type: ignore[arg-type]  # mypy: as above
 
 
@@ -76,6 +101,7 @@ class Engine:
 
     Attributes:
         fleet: The simulation of the current episode.
+        world: Arguments of its world.
     """
 
     fleet: SatelliteFleet
@@ -85,14 +111,14 @@ class Engine:
         self.backend, self.orbit = backend, orbit
         self._key: object = None
         self._values: list[dict[str, object]] = []
-        self._world: dict[str, object] = {}
+        self.world: dict[str, Any] = {}
         self._limit = float("inf")
 
     def begin(
         self,
         satellites: Sequence[Any],
         world_type: type[WorldModel],
-        world_args: Mapping[str, object],
+        world_args: dict[str, object],
         sim_rate: float,
         time_limit: float,
     ) -> SatelliteFleet:
@@ -102,9 +128,10 @@ class Engine:
             ValueError: For arguments that are not allowed.
         """
         self._values = [_own_values(satellite) for satellite in satellites]
-        self._world, self._limit = dict(world_args), float(time_limit)
+        self.world, self._limit = world_args | changed_arguments(world_type, world_args), float(time_limit)
+        world_type = core_world(world_type)
         types = [described_type(s.dyn_type, s.fsw_type, s.holds_attitudes) for s in satellites]
-        orbit = self.orbit or _needed_orbit(self._values, self._world)
+        orbit = self.orbit or _needed_orbit(self._values, self.world)
         key = self._structure(satellites, types, world_type, sim_rate, orbit)
         if key != self._key:
             self._key = None
@@ -125,7 +152,7 @@ class Engine:
         ]
         return repr(
             [(name, id(t), interval, sorted(table_arguments.items(), key=str)) for name, t, interval, table_arguments in each]
-        ), repr((sorted(_given(others[0].default_world_args(), self._world).items(), key=str), *others))
+        ), repr((sorted(_given(others[0].default_world_args(), self.world).items(), key=str), *others))
 
     def _build(
         self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], world_type: Any, sim_rate: float, orbit: str | None
@@ -148,26 +175,40 @@ class Engine:
         self.fleet = fleet = self._builder.make_fleet(1)
         parts = enumerate(fleet.simulators)
         fleet.satellites = tuple(Simulated.of(self._builder.satellites[s.columns[0]], fleet, k) for k, s in parts)
-        for k, part in enumerate(fleet.satellites):
-            names = [name for column in fleet.simulators[k].columns for name in satellites[column].observed_properties]
+        for part in fleet.satellites:
             models = (type(part.dynamics), type(part.fsw))
-            members = (inspect.getattr_static(model, name, None) for model in models for name in names)
-            functions = [member.function for member in members if isinstance(member, observable)]
-            part.simulator.observer.want((*functions, *part.dynamics.vitals().values(), *part.fsw.vitals().values()))
+            functions = [
+                function for model in models for each in (model.observables(), model.vitals()) for function in each.values()
+            ]
+            simulator = part.simulator
+            simulator.observer.want(function for function in (*functions, *SKY.values()) if _exists(simulator.state, function))
 
     def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, object]:
         """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""
-        values = self._world if k is None else self._values[k]
+        values = self.world if k is None else self._values[k]
         arguments = _given(table, values)
         return {name: arguments[name] if name in arguments else self._reader(k, name) for name in table.rows if name in values}
 
     def _reader(self, k: int | None, name: str) -> Callable[[], object]:
-        return lambda: (self._world if k is None else self._values[k])[name]
+        return lambda: (self.world if k is None else self._values[k])[name]
+
+
+def _exists(state: SatelliteState, function: Callable[[Now], object]) -> bool:
+    """Return whether satellites have what an observable follows from."""
+    try:
+        ObserverProgram(state, [function])
+    except (MissingMessageError, UntraceableError):
+        return False
+    return True
 
 
 def _own_values(satellite: Any) -> dict[str, object]:
     """Return the arguments of a satellite as the core takes them: with the state at time zero in place of elements."""
-    values = {name: value for name, value in satellite.sat_args.items() if name not in WORLD_ONLY}
+    args = satellite.sat_args
+    for model in (satellite.dyn_type, satellite.fsw_type):
+        args = args | changed_arguments(model, args, satellite)
+    satellite.model_args = args
+    values = {name: value for name, value in args.items() if name not in WORLD_ONLY}
     values["rN"], values["vN"] = initial_state(values["rN"], values["vN"], values["oe"], values["mu"])
     values["oe"] = None
     if "storageInit" in values and not 0 <= values["storageInit"] <= values["dataStorageCapacity"]:

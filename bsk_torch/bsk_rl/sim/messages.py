@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import torch
+
+from bsk_torch.astro.ephemeris import sun_state
+from bsk_torch.constants import AU, MU_EARTH, MU_SUN, R_EARTH, R_SUN, SOLAR_FLUX
+from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel, ImagingFSWModel, SteeringFSWModel
 
 COMPONENT = (
     "parts of a spacecraft are components here: write a Component and list it in components= of a model "
@@ -14,11 +20,8 @@ COMPONENT = (
 )
 
 ABSENT = (
-    "faultList", "fsw_proc", "dyn_proc", "tasks", "processName", "rwFactory", "thrusterSet", "rwNullSpace",
-    "rwConstellationConfigInMsg", "rwMotorTorque", "mrpFeedbackControl", "mrpSteeringControl", "servo", "sunPoint",
-    "hillPoint", "trackingError", "thrForceMapping", "thrDump", "momentumDump", "thrusterDump", "extForceTorqueObject",
-    "dragEffector", "densityModel", "wheelSinkList", "powerSinkList", "AddModelToTask", "CreateNewTask", "CreateNewProcess",
-    "enableTask", "disableTask", "Gs", "vcConfigMsg", "attRefMsg",
+    "faultList", "fsw_proc", "dyn_proc", "tasks", "processName", "rwFactory", "rwPowerList", "thrusterSet", "thrFactory",
+    "rwNullSpace", "thrForceMapping", "extForceTorqueObject", "dragEffector", "wheelSinkList", "powerSinkList", "Gs",
 )  # fmt: skip
 """Attributes of Basilisk's objects that there are no counterparts of."""
 
@@ -45,15 +48,21 @@ def advice(name: str) -> str:
     return ""
 
 
+def unreadable(name: str, what: str, known: Iterable[str]) -> str:
+    """Return the text of the error for an attribute of a module or message that cannot be read."""
+    return f"{name!r} of {what} of Basilisk's cannot be read here; known are {sorted(known)}. {COMPONENT}"
+
+
 class Payload(SimpleNamespace):
-    """What a message holds."""
+    """What a message holds; ``_later`` are functions of what takes long to compute."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        raise AttributeError(
-            f"{name!r} of a message of Basilisk's cannot be read here; known are {sorted(vars(self))}. {COMPONENT}"
-        )
+        if name in (later := vars(self).get("_later", {})):
+            value = self.__dict__[name] = later[name]()
+            return value
+        raise AttributeError(unreadable(name, "a message", vars(self)))
 
 
 class View(Protocol):
@@ -79,6 +88,43 @@ class Message:
         """Return the present payload, with the names of Basilisk's."""
         return Payload(**self._read())
 
+    def recorder(self, minUpdateTime: int = 0) -> Recorder:
+        """Return what keeps the payload of every tick, at least ``minUpdateTime`` ns apart; add it by ``AddModelToTask``."""
+        return Recorder(self, minUpdateTime)
+
+
+class Recorder:
+    """Keeps the payloads of a message from when it is added to a task; the fields of the payload are arrays [T, ...]."""
+
+    def __init__(self, message: Message, minUpdateTime: int) -> None:
+        """Record a message."""
+        self._message, self._every = message, minUpdateTime
+        self._times: list[int] = []
+        self._payloads: list[Any] = []
+
+    def record(self, nanoseconds: int) -> None:
+        """Keep the payload of now, unless the last one is not old enough."""
+        if not self._times or nanoseconds >= self._times[-1] + max(self._every, 1):
+            self._times.append(nanoseconds)
+            self._payloads.append(self._message.read())
+
+    def times(self) -> np.ndarray:
+        """Return the times of the payloads, ns."""
+        return np.array(self._times, dtype=np.int64)
+
+    def timesWritten(self) -> np.ndarray:
+        """Return the same times, at which the messages were written, too."""
+        return self.times()
+
+    def clear(self) -> None:
+        """Forget what has been recorded."""
+        self._times, self._payloads = [], []
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return np.array([getattr(payload, name) for payload in self._payloads])
+
 
 class Module(NamedTuple):
     """A module of Basilisk: its attributes by name, as functions of a dynamics model, and what the model must have."""
@@ -87,27 +133,15 @@ class Module(NamedTuple):
     needs: str = "r_BN_N"
 
 
-class ModuleView:
-    """A module of one satellite."""
-
-    def __init__(self, dynamics: View, attributes: Mapping[str, Callable[[View], Any]]) -> None:
-        """View a module of a dynamics model."""
-        self.__dict__["_dynamics"], self.__dict__["_attributes"] = dynamics, attributes
-
-    def __getattr__(self, name: str) -> Any:
-        attributes = self.__dict__["_attributes"]
-        if name not in attributes:
-            raise AttributeError(
-                f"{name!r} of a module of Basilisk's cannot be read here; known are {sorted(attributes)}. {COMPONENT}"
-            )
-        return attributes[name](self.__dict__["_dynamics"])
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"{name!r} of a module of Basilisk's cannot be set: give it in sat_args, or {COMPONENT}")
+def read_of(view: Any, attributes: Mapping[str, Callable[[Any], Any]], name: str) -> Any:
+    """Return an attribute of a module of a model; AttributeError with advice for one that cannot be read."""
+    if name not in attributes:
+        raise AttributeError(unreadable(name, "a module", attributes))
+    return attributes[name](view)
 
 
 def _argument(name: str) -> Callable[[View], object]:
-    return lambda dynamics: dynamics.satellite.sat_args[name]
+    return lambda dynamics: dynamics.satellite.model_args[name]
 
 
 def _states(*names: str) -> Callable[[View], Message]:
@@ -115,7 +149,7 @@ def _states(*names: str) -> Callable[[View], Message]:
 
 
 def _battery(dynamics: View) -> Message:
-    capacity = float(dynamics.satellite.sat_args["batteryStorageCapacity"])
+    capacity = float(dynamics.satellite.model_args["batteryStorageCapacity"])
 
     def write(payload: Any) -> None:
         dynamics.satellite.fsw._write("charge", float(payload.storageLevel))
@@ -125,7 +159,7 @@ def _battery(dynamics: View) -> Message:
 
 def _store(dynamics: View) -> Message:
     def read() -> dict[str, object]:
-        levels, args = [float(x) for x in dynamics.partition_levels], dynamics.satellite.sat_args
+        levels, args = [float(x) for x in dynamics.partition_levels], dynamics.satellite.model_args
         buffers = args.get("bufferNames", [WHOLE_STORE])  # None for numbered partitions
         names = list(buffers) if buffers is not None else [str(k) for k in range(len(levels))]
         return {
@@ -146,44 +180,251 @@ def _wheels(dynamics: View) -> Message:
     return Message(read)
 
 
+def inertia(dynamics: View) -> np.ndarray:
+    """Return the inertia of the hub about its center of mass, [3, 3] kg m^2 in B; of a box as in bsk_rl unless it is given."""
+    args = dynamics.satellite.model_args
+    if args.get("inertia") is not None:
+        return np.array(args["inertia"], dtype=float)
+    w2, d2, h2 = (float(args[name]) ** 2 for name in ("width", "depth", "height"))
+    return np.diag([w2 + d2, d2 + h2, w2 + h2]) * float(args["mass"]) / 12.0
+
+
+def _hub(dynamics: View) -> SimpleNamespace:
+    args, tensor = dynamics.satellite.model_args, inertia(dynamics)
+    return SimpleNamespace(mHub=args["mass"], IHubPntBc_B=tensor.tolist(), r_BcB_B=[0.0, 0.0, 0.0])
+
+
+def _panel_power(dynamics: View) -> Message:
+    """Return the power of the solar panel, W; see :func:`bsk_torch.sim.dyn.power.panels.collect_sunlight`."""
+
+    def read() -> dict[str, object]:
+        args, r_BN_N = dynamics.satellite.model_args, np.array(dynamics.r_BN_N)
+        r_SB_N, normal = dynamics.world.r_SN_N - r_BN_N, np.array(args["nHat_B"], dtype=float)
+        distance = np.linalg.norm(r_SB_N)
+        cosine = max(float(normal / np.linalg.norm(normal) @ (np.array(dynamics.BN) @ r_SB_N)) / distance, 0.0)
+        light = dynamics.world.eclipseObject.eclipseOutMsgs[dynamics.eclipse_index].read().illuminationFactor
+        area = float(args["panelArea"]) * float(args["panelEfficiency"])
+        return {"netPower": SOLAR_FLUX * (AU / distance) ** 2 * area * light * cosine}
+
+    return Message(read)
+
+
+def _sink(name: str, flag: str | None) -> Module:
+    """Return a device that draws the power of an argument, W, while a flag of the mode is set."""
+
+    def status(dynamics: View) -> int:
+        return int(flag is None or flag in dynamics.satellite.fsw.flags_on)
+
+    def power(dynamics: View) -> float:
+        return float(dynamics.satellite.model_args[name])
+
+    def message(dynamics: View) -> Message:
+        return Message(lambda: {"netPower": power(dynamics) * status(dynamics)})
+
+    return Module({"nodePowerOut": power, "powerStatus": status, "nodePowerOutMsg": message}, "battery_charge")
+
+
+def _switched(name: str, flag: str) -> Callable[[View], object]:
+    return lambda dynamics: int(flag in dynamics.satellite.fsw.flags_on)
+
+
 MODULES: dict[str, Module] = {
     "scObject": Module(
-        {"scStateOutMsg": _states("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B"), "ModelTag": lambda d: d.satellite.name}
+        {
+            "scStateOutMsg": _states("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B"),
+            "ModelTag": lambda d: d.satellite.name,
+            "hub": _hub,
+        }
+    ),
+    "basePowerSink": _sink("basePowerDraw", None),
+    "instrumentPowerSink": _sink("instrumentPowerDraw", "instrument_power")._replace(needs="storage_level"),
+    "transmitterPowerSink": _sink("transmitterPowerDraw", "transmitter_on")._replace(needs="storage_level"),
+    "thrusterPowerSink": _sink("thrusterPowerDraw", "thruster_power"),
+    "imagingTarget": Module(
+        {
+            "r_LP_P_Init": lambda d: d.satellite.fsw.field("r_LP_P").tolist(),
+            "minimumElevation": _argument("imageTargetMinimumElevation"),
+            "maximumRange": _argument("imageTargetMaximumRange"),
+        },
+        "storage_level",
     ),
     "simpleNavObject": Module({"transOutMsg": _states("r_BN_N", "v_BN_N"), "attOutMsg": _states("sigma_BN", "omega_BN_B")}),
     "powerMonitor": Module(
         {"batPowerOutMsg": _battery, "storageCapacity": _argument("batteryStorageCapacity")}, "battery_charge"
     ),
-    "solarPanel": Module({name: _argument(name) for name in ("nHat_B", "panelArea", "panelEfficiency")}, "battery_charge"),
+    "solarPanel": Module(
+        {"nodePowerOutMsg": _panel_power, **{name: _argument(name) for name in ("nHat_B", "panelArea", "panelEfficiency")}},
+        "battery_charge",
+    ),
     "rwStateEffector": Module({"rwSpeedOutMsg": _wheels}, "wheel_speeds"),
     "storageUnit": Module(
         {"storageUnitDataOutMsg": _store, "storageCapacity": _argument("dataStorageCapacity")}, "storage_level"
     ),
     "instrument": Module({"nodeBaudRate": _argument("instrumentBaudRate")}, "storage_level"),
-    "transmitter": Module({"nodeBaudRate": _argument("transmitterBaudRate")}, "storage_level"),
+    "transmitter": Module(
+        {"nodeBaudRate": _argument("transmitterBaudRate"), "dataStatus": _switched("dataStatus", "transmitter_on")},
+        "storage_level",
+    ),
 }
 """Modules of a satellite's dynamics by name."""
+
+
+# -- flight software -------------------------------------------------------------------------------------------------------------
+
+
+def _guidance(fsw: View) -> Message:
+    """Return the attitude error of the last tick; of guidance that points an axis, rates are not kept by the simulation."""
+
+    def read() -> dict[str, object]:
+        from bsk_torch.bsk_rl.basilisk.utilities.RigidBodyKinematics import subMRP  # which imports SciPy
+
+        on, dynamics = fsw.flags_on, fsw.dynamics
+        for law in ("sun", "location"):
+            if f"{law}_on" in on:
+                return {"sigma_BR": fsw.field(f"{law}_sigma_BR").tolist()}
+        sigma_RN, omega_RN_N = _hill_reference(dynamics) if "nadir_on" in on else (np.zeros(3), np.zeros(3))
+        omega_RN_B = np.array(dynamics.BN) @ omega_RN_N
+        return {
+            "sigma_BR": subMRP(dynamics.sigma_BN, sigma_RN).tolist(),
+            "omega_BR_B": (np.array(dynamics.omega_BN_B) - omega_RN_B).tolist(),
+            "omega_RN_B": omega_RN_B.tolist(),
+        }
+
+    return Message(read)
+
+
+def _hill_reference(dynamics: View) -> tuple[np.ndarray, np.ndarray]:
+    """Return the attitude of the Hill frame, an MRP, and its rate, rad/s in N."""
+    from bsk_torch.bsk_rl.basilisk.utilities.RigidBodyKinematics import C2MRP  # likewise
+
+    r, v, HN = np.array(dynamics.r_BN_N), np.array(dynamics.v_BN_N), np.array(dynamics.HN)
+    return np.array(C2MRP(HN)), HN[2] * np.linalg.norm(np.cross(r, v)) / (r @ r)
+
+
+def _reference(fsw: View) -> Message:
+    """Return the attitude of the reference; see :func:`_guidance`. Writing it commands an attitude set-point."""
+
+    def read() -> dict[str, object]:
+        from bsk_torch.bsk_rl.basilisk.utilities.RigidBodyKinematics import addMRP  # likewise
+
+        guidance = _guidance(fsw).read()
+        sigma_RN = addMRP(np.array(fsw.dynamics.sigma_BN), -np.array(guidance.sigma_BR))
+        rates = {}
+        if hasattr(guidance, "omega_RN_B"):
+            rates = {"omega_RN_N": (np.array(fsw.dynamics.BN).T @ np.array(guidance.omega_RN_B)).tolist()}
+        return {"sigma_RN": np.array(sigma_RN).tolist(), **rates}
+
+    return Message(read, lambda payload: fsw.action_attitude_mrp(payload.sigma_RN))
+
+
+def _motor_torques(fsw: View) -> Message:
+    def read() -> dict[str, object]:
+        torques = fsw.field("motor_torque_command_B").tolist()
+        return {"motorTorque": torques + [0.0] * (WHEELS - len(torques))}
+
+    return Message(read)
+
+
+def _configuration(fsw: View) -> Message:
+    return Message(lambda: {"ISCPntB_B": inertia(fsw.dynamics).ravel().tolist()})
+
+
+def _arguments(**names: str) -> dict[str, Callable[[View], object]]:
+    return {attribute: _argument(name) for attribute, name in names.items()}
+
+
+class Software(NamedTuple):
+    """A module or message of the flight software: its attributes, or the message, and the model that has it."""
+
+    model: type
+    attributes: Mapping[str, Callable[[View], object]] = {}
+    message: Callable[[View], Message] | None = None
+    without: type = type(None)
+
+    def exists(self, fsw: View) -> bool:
+        """Return whether a model has it."""
+        return isinstance(fsw, self.model) and not isinstance(fsw, self.without)
+
+
+FSW_MODULES: dict[str, Software] = {
+    "attGuidMsg": Software(FSWModel, message=_guidance),
+    "attRefMsg": Software(FSWModel, message=_reference),
+    "vcConfigMsg": Software(FSWModel, message=_configuration),
+    "hillPoint": Software(FSWModel),
+    "trackingError": Software(FSWModel, {"attGuidOutMsg": _guidance}),
+    "sunPoint": Software(BasicFSWModel, {"pHat_B": lambda fsw: unit(fsw, "nHat_B"), "attGuidOutMsg": _guidance}),
+    "locPoint": Software(ImagingFSWModel, {"pHat_B": lambda fsw: unit(fsw, "inst_pHat_B"), "attGuidOutMsg": _guidance}),
+    "rwMotorTorque": Software(BasicFSWModel, {"rwMotorTorqueOutMsg": _motor_torques}),
+    "mrpFeedbackControl": Software(BasicFSWModel, _arguments(K="K", Ki="Ki", P="P"), None, SteeringFSWModel),
+    "mrpSteeringControl": Software(SteeringFSWModel, _arguments(K1="K1", K3="K3", omega_max="omega_max")),
+    "servo": Software(SteeringFSWModel, _arguments(Ki="servo_Ki", P="servo_P")),
+    "thrDesatControl": Software(BasicFSWModel, _arguments(hs_min="hs_min")),
+    "thrDump": Software(BasicFSWModel, _arguments(maxCounterValue="maxCounterValue", thrMinFireTime="thrMinFireTime")),
+    "insControl": Software(
+        ImagingFSWModel,
+        {
+            **_arguments(attErrTolerance="imageAttErrorRequirement", rateErrTolerance="imageRateErrorRequirement"),
+            "controllerStatus": lambda fsw: int("controller_on" in fsw.flags_on),
+            "imaged": lambda fsw: int(fsw.field("image_taken")[0]),
+        },
+    ),
+}
+"""Modules and messages of flight software by name."""
+
+
+def unit(model: View, name: str) -> np.ndarray:
+    """Return an argument of a satellite that is a direction, as a unit vector."""
+    axis = np.array(model.satellite.model_args[name], dtype=float)
+    return axis / np.linalg.norm(axis)
+
+
+# -- world -----------------------------------------------------------------------------------------------------------------------
 
 
 AT_REST = (0.0, 0.0, 0.0)
 """Position, m, and velocity, m/s, of the Earth in N."""
 
 
+BODIES = {"sun": (MU_SUN, R_SUN), "earth": (MU_EARTH, R_EARTH)}
+"""Gravitational parameter, m^3/s^2, and equatorial radius, m, of the bodies that attract."""
+
+
+def _sun_velocity(et: float) -> list[float]:
+    """Return the velocity of the Sun relative to the Earth at an ET, m/s in N."""
+    velocity: list[float] = sun_state(torch.tensor([et], dtype=torch.float64))[1][0].tolist()
+    return velocity
+
+
 def gravity_factory(world: View) -> SimpleNamespace:
-    """Return Basilisk's ``gravFactory``: ``spiceObject.planetStateOutMsgs`` of the Sun and of the Earth, m and m/s in N."""
+    """Return Basilisk's ``gravFactory``: ``gravBodies`` by name, and ``spiceObject.planetStateOutMsgs`` of Sun and Earth.
 
-    def planet(name: str, r: list[float], v: list[float], turn: np.ndarray) -> dict[str, object]:
-        return {"PositionVector": r, "VelocityVector": v, "J20002Pfix": turn.tolist(), "PlanetName": name}
+    Positions are in m and velocities in m/s, in N.
+    """
 
-    sun = Message(lambda: planet("sun", world.r_SN_N.tolist(), world.v_SN_N.tolist(), np.eye(3)))
-    earth = Message(lambda: planet("earth", list(AT_REST), list(AT_REST), world.PN))
-    return SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=[sun, earth]))
+    def sun() -> dict[str, object]:
+        later = {"VelocityVector": partial(_sun_velocity, world.et)}
+        return {"PositionVector": world.r_SN_N.tolist(), "J20002Pfix": np.eye(3).tolist(), "PlanetName": "sun", "_later": later}
+
+    def earth() -> dict[str, object]:
+        rest = {"PositionVector": list(AT_REST), "VelocityVector": list(AT_REST), "PlanetName": "earth"}
+        return {**rest, "J20002Pfix": world.PN.tolist()}
+
+    bodies = {
+        name: SimpleNamespace(mu=mu, radEquator=radius, planetName=f"{name}_planet_data", isCentralBody=name == "earth")
+        for name, (mu, radius) in BODIES.items()
+    }
+    return SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=[Message(sun), Message(earth)]), gravBodies=bodies)
 
 
 def ephemerides(world: View) -> SimpleNamespace:
     """Return Basilisk's ``ephemConverter``: ``ephemOutMsgs`` of the Sun and of the Earth, m and m/s in N."""
-    sun = Message(lambda: {"r_BdyZero_N": world.r_SN_N.tolist(), "v_BdyZero_N": world.v_SN_N.tolist()})
-    return SimpleNamespace(ephemOutMsgs=[sun, Message(lambda: {"r_BdyZero_N": list(AT_REST), "v_BdyZero_N": list(AT_REST)})])
+
+    def sun() -> dict[str, object]:
+        return {"r_BdyZero_N": world.r_SN_N.tolist(), "_later": {"v_BdyZero_N": partial(_sun_velocity, world.et)}}
+
+    return SimpleNamespace(
+        ephemOutMsgs=[Message(sun), Message(lambda: {"r_BdyZero_N": list(AT_REST), "v_BdyZero_N": list(AT_REST)})]
+    )
 
 
 def eclipses(world: View) -> SimpleNamespace:

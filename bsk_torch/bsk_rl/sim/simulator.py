@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,11 +14,13 @@ import numpy as np
 import torch
 
 from bsk_torch.bsk_rl.sim.engine import Engine, row_mask
+from bsk_torch.bsk_rl.sim.messages import COMPONENT, Recorder
 from bsk_torch.bsk_rl.sim.rso_imaging import Aims
+from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
 from bsk_torch.bsk_rl.sim.views import WorldView
 from bsk_torch.comm.los import sights, visible_pairs
 from bsk_torch.constants import NANO
-from bsk_torch.env.episodes import whole_limit
+from bsk_torch.env.limits import whole_limit
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.dyn.events import DISARMED
@@ -34,17 +37,21 @@ LATEST = 2**31
 LONGEST_RUN = 1 << 40
 """Most ticks of one run."""
 
+LONGEST_SEARCH = 4096
+"""Most ticks of one run with conditions on the clock, whose first time is searched tick by tick."""
+
 
 @dataclass
 class Event:
-    """Something that happens at a time, or when an image has been taken.
+    """Something that happens at a time, when an image has been taken, or when a condition holds.
 
     Attributes:
-        tick: First tick at which it happens; None for an image.
+        tick: First tick at which it happens; None for an image or a condition.
         effect: Called with the simulator when it happens.
         terminal: Whether it ends the step.
         eventActive: Whether it is waiting.
         image_of: Satellite whose image it waits for.
+        condition: Function of the simulator that is evaluated every ``every`` ticks.
     """
 
     tick: int | None
@@ -52,6 +59,35 @@ class Event:
     terminal: bool
     eventActive: bool = True
     image_of: Any = None
+    condition: Callable[[Any], object] | None = None
+    every: int = 1
+
+
+class Clock:
+    """Stands for a simulator that a condition reads only the time of."""
+
+    def __init__(self, nanoseconds: int) -> None:
+        """Set the time, ns."""
+        self.sim_time_ns, self.sim_time = nanoseconds, nanoseconds * NANO
+        self.TotalSim = SimpleNamespace(CurrentNanos=nanoseconds)
+
+
+CLOCK = {"TotalSim", "CurrentNanos", "sim_time", "sim_time_ns"}
+"""What a condition reads of the clock."""
+
+
+def reads_only_clock(condition: Callable[..., object]) -> bool:
+    """Return whether a condition follows from the time alone, as its code shows: it names the clock, numbers and modules."""
+    code: Any = getattr(condition, "__code__", None)
+    if code is None or any(inspect.iscode(constant) for constant in code.co_consts):
+        return False
+    seen = inspect.getclosurevars(condition)
+    values = [*seen.nonlocals.values(), *seen.globals.values()]
+    modules = [value for value in values if inspect.ismodule(value)]
+    attributes = seen.unbound - CLOCK
+    return all(isinstance(value, int | float) or inspect.ismodule(value) for value in values) and all(
+        any(hasattr(module, name) for module in modules) for name in attributes
+    )
 
 
 class Simulator:
@@ -65,6 +101,7 @@ class Simulator:
         world: Sun, Earth and ground stations.
         fleet: The core's simulation, with one environment.
         eventMap: Events by name.
+        recorders: Recorders of messages, which keep them at every tick.
         aims: Satellites at which imagers point.
         collisions: Pairs of satellites that have collided, in the order in which bsk_rl books them.
     """
@@ -81,15 +118,18 @@ class Simulator:
     ) -> None:
         """Start the episode; its satellites have drawn their arguments."""
         self.satellites, self.sim_rate, self.max_step_duration = list(satellites), sim_rate, max_step_duration
-        self.time_limit, self.logger, self.world_args = time_limit, logger, dict(world_args)
+        self.time_limit, self.logger = time_limit, logger
         self.eventMap: dict[str, Event] = {}
+        self.recorders: list[Recorder] = []
         self.engine = engine or Engine()
-        self.fleet: SatelliteFleet = self.engine.begin(self.satellites, world_type, self.world_args, sim_rate, time_limit)
+        self.fleet: SatelliteFleet = self.engine.begin(self.satellites, world_type, dict(world_args), sim_rate, time_limit)
+        self.world_args: dict[str, Any] = self.engine.world
         self.aims = Aims(self.fleet)
         self._every = torch.ones(1, dtype=torch.bool)
         self._h_ns = self.fleet.simulators[0].h_ns
         self._et = self.fleet.simulators[0].lookahead.flight.et[:1].clone()
         self._now = 0
+        self._limited: tuple[float, torch.Tensor, int] = (math.nan, torch.zeros(1), 0)
         self.collisions: list[tuple[object, object]] = []
         self._booked: set[tuple[str, int, int]] = set()
         places = {column: (k, row) for k, s in enumerate(self.fleet.simulators) for row, column in enumerate(s.columns)}
@@ -192,28 +232,75 @@ class Simulator:
         eventName: str,
         eventRate: int = 0,
         eventActive: bool = False,
-        conditionList: object = None,
-        actionList: object = None,
+        conditionList: Sequence[str] | None = None,
+        actionList: Sequence[str] | None = None,
         conditionTime: int | None = None,
-        conditionFunction: object = None,
-        actionFunction: Callable[[Simulator], object] | None = None,
+        conditionFunction: Callable[[Any], object] | None = None,
+        actionFunction: Callable[[Any], object] | None = None,
         terminal: bool = False,
         exactRateMatch: bool = True,
     ) -> None:
-        """Add an event at a time, ns, as Basilisk does; an existing one of the same name stays.
+        """Add an event at a time, ns, or when a condition holds, as Basilisk does; an existing one of the same name stays.
 
-        ``eventRate`` and ``exactRateMatch`` matter to conditions only, in Basilisk as well.
+        A condition is evaluated every ``eventRate`` ns, at ticks. One that reads only the clock is evaluated before a run, for
+        the ticks that follow; with another one the simulation runs from evaluation to evaluation, which is slow.
 
         Raises:
-            NotImplementedError: For a condition, which would have to be evaluated in every tick.
+            NotImplementedError: For conditions and actions that are text, which Basilisk executes.
         """
-        if conditionTime is None or conditionList or conditionFunction is not None or actionList:
+        if conditionList or actionList:
             raise NotImplementedError(
-                f"createNewEvent({eventName!r}): the simulation stops for times only: give conditionTime= and actionFunction=. "
-                "A condition on the state that ends steps is a Component with stops=True: docs/how_to/own_component.md"
+                f"createNewEvent({eventName!r}): text is not executed; write functions of the simulator: "
+                "conditionFunction=lambda sim: sim.TotalSim.CurrentNanos >= 10e9, actionFunction=..."
             )
-        if eventName not in self.eventMap:
+        if eventName in self.eventMap:
+            return
+        if conditionTime is not None:
             self.eventMap[eventName] = Event(math.ceil(conditionTime / self._h_ns), actionFunction, terminal, eventActive)
+        elif conditionFunction is not None:
+            every = max(1, math.ceil(eventRate / self._h_ns))
+            event = Event(None, actionFunction, terminal, eventActive, condition=conditionFunction, every=every)
+            self.eventMap[eventName] = event
+
+    def _next_condition(self, event: Event, last: int) -> int:
+        """Return the next tick at which a condition is to be evaluated: the one at which it holds, if it reads only the clock."""
+        first, condition = (self._now // event.every + 1) * event.every, event.condition
+        if condition is None or not reads_only_clock(condition):
+            return first
+        last = min(last, self._now + LONGEST_SEARCH)
+        return next((tick for tick in range(first, last + 1, event.every) if condition(Clock(tick * self._h_ns))), last)
+
+    # -- tasks --------------------------------------------------------------------------------------------------------
+
+    def enableTask(self, name: str) -> None:
+        """Switch on a task of a satellite's flight software, within a command of it."""
+        self._switch_task(name, True)
+
+    def disableTask(self, name: str) -> None:
+        """Switch off a task, likewise."""
+        self._switch_task(name, False)
+
+    def _switch_task(self, name: str, on: bool) -> None:
+        for satellite in self.satellites:
+            if name.endswith(satellite.name) and (command := satellite.fsw._commanding) is not None:
+                command.task(name.removesuffix(satellite.name), on)
+                return
+        raise NotSimulatedError(f"task {name!r} can be switched within methods of flight software marked by @action. {COMPONENT}")
+
+    def AddModelToTask(self, TaskName: str, NewModel: object, ModelPriority: int = -1) -> None:
+        """Add the recorder of a message; NotSimulatedError for a module of Basilisk's."""
+        if not isinstance(NewModel, Recorder):
+            raise NotSimulatedError(
+                f"AddModelToTask({TaskName!r}, {type(NewModel).__name__}): modules of Basilisk's do not run here; recorders of "
+                f"messages do. {COMPONENT}"
+            )
+        self.recorders.append(NewModel)
+        NewModel.record(self.sim_time_ns)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("CreateNewTask", "CreateNewProcess", "InitializeSimulation", "ConfigureStopTime", "ExecuteSimulation"):
+            raise AttributeError(f"simulator.{name} is one of Basilisk's, and there is none. {COMPONENT}")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def setEventActivity(self, eventName: str, activityCommand: bool) -> None:
         """Switch an event on or off."""
@@ -233,9 +320,8 @@ class Simulator:
         Other events happen on the way. As in Basilisk, those that are due happen before the first tick, too, and none does at the
         time limit.
         """
-        fleet, time_limit = self.fleet, torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64)
-        limit_ticks = whole_limit(time_limit, self._et, self._h_ns)[0]
-        limit = int(limit_ticks)
+        fleet = self.fleet
+        limit_ticks, limit = self._limit()
         fleet.since = torch.tensor([self._now])
         longest = self._now + self.tick_at(self.max_step_duration)
         last = min(longest, limit)
@@ -249,14 +335,30 @@ class Simulator:
                 self.logger.info("Max step duration reached")
             if ended or broken_off or self._now >= last:
                 return
-            ticks = [event.tick for event in self.eventMap.values() if event.eventActive and event.tick is not None]
-            until = min([last, *(max(tick, self._now + 1) for tick in ticks)])
+            until = self._until(last)
             result = fleet.run(self._every, limit_ticks, torch.tensor([until]))
             self._now += int(result.ticks[0])
             images = result.events
+            for recorder in self.recorders:
+                recorder.record(self.sim_time_ns)
             self._book_encounters()
             for part in fleet.satellites:
                 part.memory.touch()
+
+    def _limit(self) -> tuple[torch.Tensor, int]:
+        """Return the time limit in ticks."""
+        if self._limited[0] != self.time_limit:
+            ticks = whole_limit(torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64), self._et, self._h_ns)[0]
+            self._limited = self.time_limit, ticks, int(ticks)
+        return self._limited[1:]
+
+    def _until(self, last: int) -> int:
+        """Return the tick at which the next run must stop: for an event, a condition or a recorder."""
+        if self.recorders:
+            return self._now + 1
+        active = [event for event in self.eventMap.values() if event.eventActive]
+        ticks = [max(event.tick, self._now + 1) for event in active if event.tick is not None]
+        return min([last, *ticks, *(self._next_condition(event, last) for event in active if event.condition is not None)])
 
     def _book_encounters(self) -> None:
         """Keep and log the conjunctions and the ranges left that are new, as bsk_rl does."""
@@ -305,5 +407,7 @@ class Simulator:
     def _is_due(self, event: Event, images: Sequence[object]) -> bool:
         if event.tick is not None:
             return event.eventActive and event.tick <= self._now
+        if event.condition is not None:
+            return event.eventActive and self._now % event.every == 0 and bool(event.condition(self))
         part, row = event.image_of.core_row
         return event.eventActive and images[part] is not None and bool(images[part][row])

@@ -8,6 +8,7 @@ another one raises AttributeError with advice.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from copy import deepcopy
 from functools import cache, cached_property, partial
 from types import SimpleNamespace
@@ -18,16 +19,18 @@ import torch
 
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
-from bsk_torch.bsk_rl.sim.engine import row_mask
+from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command
+from bsk_torch.bsk_rl.sim.engine import SKY, row_mask
 from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
+from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.readout.observables import observable
+from bsk_torch.sim.readout.observables import Observer, observable
 from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
@@ -42,6 +45,10 @@ ELEMENTS = {
     "true_anomaly": "f",
 }  # fmt: skip
 """Orbital elements of bsk_rl's models by property."""
+
+
+PACKAGE = "bsk_torch."
+"""Beginning of the names of the package's modules."""
 
 
 class Episode(Protocol):
@@ -66,7 +73,7 @@ class _Overridden:
         self.name = name
 
     def __get__(self, view: Any, owner: type | None = None) -> Any:
-        return ModelView.__getattr__(view, self.name)
+        return view.__getattr__(self.name)
 
 
 @cache
@@ -75,6 +82,12 @@ def _overriding(view: type, model: type) -> type:
     users = [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins")]
     names = {name for owner in users for name in vars(owner) if not name.startswith("_") and hasattr(view, name)}
     return type(view.__name__, (view,), {name: _Overridden(name) for name in names}) if names else view
+
+
+@cache
+def _defined(model: type, name: str) -> tuple[Any, type] | None:
+    """Return a member of a model and the class that defines it; None if there is none."""
+    return next(((vars(owner)[name], owner) for owner in model.__mro__ if name in vars(owner)), None)
 
 
 def of_row(value: object, row: int) -> Any:
@@ -104,7 +117,7 @@ class ModelView:
 
     def __init__(self, whole: object, row: int) -> None:
         """View row number ``row`` of a model of the core."""
-        self.__dict__.update(_whole=whole, _row=row)
+        self.__dict__.update(_whole=whole, _row=row, _memo=(-1, {}))
 
     @property  # type: ignore[misc]
     def __class__(self) -> Any:
@@ -122,10 +135,10 @@ class ModelView:
             # set by __init__ of the user's class, for each satellite and episode in bsk_rl
             value = self.__dict__[name] = deepcopy(vars(whole)[name])
             return value
-        for owner in type(whole).__mro__:
-            if name in vars(owner):
-                return self._member(name, vars(owner)[name], owner)
-        raise AttributeError(self._advice(name))
+        defined = _defined(type(whole), name)
+        if defined is None:
+            raise AttributeError(self._advice(name))
+        return self._member(name, *defined)
 
     def __setattr__(self, name: str, value: object) -> None:
         """Set an attribute of the program's; AttributeError, with advice, for one that the simulation would not follow."""
@@ -151,15 +164,43 @@ class ModelView:
         return entry.tolist() if name in messages.LISTS else entry
 
     def observed(self, function: Any) -> Any:
-        """Return an observable of the core to a property of the user's that calls the one of its base class."""
-        return self._entry(function.__name__, self._whole.observed(function))
+        """Return an observable of the core, which is read once until the state changes."""
+        memo = self._present()
+        value = memo.get(function)
+        if value is None:
+            value = memo[function] = self._read(function, memo)
+        return value.copy() if isinstance(value, np.ndarray | list) else value
+
+    def _present(self) -> dict[Any, Any]:
+        """Return what has been read since the state changed last."""
+        observer = self._observer
+        if self._memo[0] != observer.state.version:
+            table = observer.table()
+            row = None if table is None else table[0][self._row].numpy(force=True)
+            self.__dict__["_memo"] = observer.state.version, {"row": row, "layout": {} if table is None else table[1].layout}
+        return self._memo[1]
+
+    def _read(self, function: Any, memo: dict[Any, Any]) -> Any:
+        if function not in memo["layout"]:
+            return self._entry(function.__name__, self._observer.read(function))
+        (at, kind), row = memo["layout"][function], memo["row"]
+        if isinstance(at, int):
+            return bool(row[at] > 0.5) if kind is bool else float(row[at])
+        values = row[at]
+        return values.reshape(3, 3) if kind is Mat3 else values.tolist() if function.__name__ in messages.LISTS else values
+
+    @property
+    def _observer(self) -> Observer:
+        return self._whole.simulator.observer
 
     def _member(self, name: str, member: Any, owner: type) -> object:
         of_core = owner.__module__.startswith(CORE)
         if getattr(member, "is_aliveness_checker", False):
             return partial(self._check, name, None if of_core or isinstance(member, observable) else member)
         if isinstance(member, property | cached_property):
-            if of_core or isinstance(member, observable):
+            if isinstance(member, observable):
+                return self.observed(member.function)
+            if of_core:
                 return self._entry(name, getattr(self._whole, name))
             if isinstance(member, property):
                 return member.fget(self)  # type: ignore[misc]
@@ -209,13 +250,19 @@ class ModelView:
         Args:
             log_failure: Whether the logger of the satellite gets a warning of the first failure.
         """
-        return all(getattr(self, name)(log_failure=log_failure) for name in self._whole.checks())
+        return self._checks_hold(log_failure)
 
-    def reset_during_sim_init(self) -> None:
-        """Do nothing; the hook of bsk_rl's models is overridden by nothing here."""
+    def _checks_hold(self, log_failure: bool) -> bool:
+        vitals = self._vitals()
+        return all(vitals.get(name) or getattr(self, name)(log_failure=log_failure) for name in self._whole.checks())
 
-    def reset_post_sim_init(self) -> None:
-        """Do nothing, likewise."""
+    def _vitals(self) -> dict[str, bool]:
+        """Return the results of the core's checks that its kernel computes together; none where there is no kernel."""
+        memo = self._present()
+        if "vitals" not in memo:
+            known = {name: function for name, function in self._whole.vitals().items() if function in memo["layout"]}
+            memo["vitals"] = {name: self._read(function, memo) for name, function in known.items()}
+        return memo["vitals"]
 
 
 class SatelliteModelView(ModelView):
@@ -230,7 +277,7 @@ class SatelliteModelView(ModelView):
 
     def __getattr__(self, name: str) -> Any:
         if name in messages.KEPT and name in self._arguments():
-            return self.satellite.sat_args[name]
+            return self.satellite.model_args[name]
         return super().__getattr__(name)
 
     def _arguments(self) -> Any:
@@ -248,13 +295,23 @@ class DynamicsView(SatelliteModelView):
     def __getattr__(self, name: str) -> Any:
         module = messages.MODULES.get(name)
         if module is not None and hasattr(type(self._whole), module.needs):
-            return messages.ModuleView(self, module.attributes)
+            return Commanded(name, lambda: self.satellite.fsw._commanding, partial(messages.read_of, self, module.attributes))
         return super().__getattr__(name)
 
     @property
     def dyn_rate(self) -> float:
         """Length of a tick, s."""
         return self.simulator.sim_rate
+
+    @property
+    def task_name(self) -> str:
+        """Name of the task of the satellite's dynamics, to which recorders are added."""
+        return f"DynamicsTask{self.satellite.name}"
+
+    @property
+    def I_mat(self) -> list[float]:
+        """Inertia of the hub, nine numbers, kg m^2 in B."""
+        return messages.inertia(self).ravel().tolist()
 
     @property
     def eclipse_index(self) -> int:
@@ -340,12 +397,12 @@ class DynamicsView(SatelliteModelView):
         pole = Vec3.of(torch.from_numpy(self.world.PN[2]))
         ends = [Vec3.of(torch.tensor(list(each.r_BN_N)).double()) for each in (self, other)]
         clear = bool(line_clearance(*(stretch(end, pole) for end in ends)) > 0.0)
-        reach = float(self.satellite.sat_args["imageTargetMaximumRange"])
+        reach = float(self.satellite.model_args["imageTargetMaximumRange"])
         return {"hasAccess": int(clear and (reach < 0.0 or float((ends[1] - ends[0]).norm()) <= reach))}
 
-    def is_alive(self, log_failure: bool = False) -> bool:
+    def _checks_hold(self, log_failure: bool) -> bool:
         """See :meth:`ModelView.is_alive`; deputies may take their chief with them."""
-        if not super().is_alive(log_failure):
+        if not super()._checks_hold(log_failure):
             return False
         part, row = self.satellite.core_row
         near = all(bool(valid[row]) for valid in self.simulator.fleet.encounters.checks_of_deputies(part).values())
@@ -366,14 +423,65 @@ for _name in ELEMENTS:
 class FlightSoftwareView(SatelliteModelView):
     """The flight-software model of a satellite; its commands are methods ``action_...``."""
 
+    def __init__(self, whole: object, row: int, satellite: Satellite) -> None:
+        """View the flight software of a satellite."""
+        super().__init__(whole, row, satellite)
+        self.__dict__["_commanding"] = None
+
     def __getattr__(self, name: str) -> Any:
-        command = name.removeprefix("action_")
-        if name.startswith("action_") and command in self._core.type.commands:
-            return lambda: self._enter(command)
+        defined = _defined(type(self._whole), name)
+        if defined is not None and is_command(defined[0]):
+            return partial(self._run_command, defined[0])
+        if name.startswith("action_") and (defined is None or defined[1].__module__.startswith(PACKAGE)):
+            return self._command(name.removeprefix("action_"))
+        if name in messages.FSW_MODULES and (defined is None or defined[1].__module__.startswith(PACKAGE)):
+            return self._module(name)
         return super().__getattr__(name)
 
+    def _command(self, command: str) -> Callable[..., object]:
+        """Return a command of the package, which flight software of users may have replaced."""
+        if f"action_{command}" in vars(FlightSoftwareView):
+            return partial(vars(FlightSoftwareView)[f"action_{command}"], self)
+        if command not in self._core.type.commands:
+            raise AttributeError(self._advice(f"action_{command}"))
+        return lambda: self._enter(command)
+
+    def _run_command(self, method: Callable[..., object], *args: object, **options: object) -> object:
+        """Run a command of a user's, and enter the mode that it has arranged; one within another adds to it."""
+        if self._commanding is not None:
+            return method(self, *args, **options)
+        command = self.__dict__["_commanding"] = Command()
+        try:
+            result = method(self, *args, **options)
+        finally:
+            self.__dict__["_commanding"] = None
+        core, mode = self._core, command.mode()
+        if mode not in core.mode_names:
+            raise NotSimulatedError(
+                f"{method.__name__} switches on {mode}, which the models of the satellite do not have together"
+            )
+        if "image_rso" in core.type.commands:
+            self.rso_capture.forget()
+        core.command(self._rows, torch.full_like(core.state.ticks, core.mode_names.index(mode)))
+        for name, value in command.fields.items():
+            self._write(name, np.broadcast_to(np.asarray(value, dtype=float), self.field(name).shape))
+        return result
+
     def _names(self) -> list[str]:
-        return [*(f"action_{command}" for command in self._core.type.commands), *super()._names()]
+        commands = (command for command in self._core.type.commands if not command.startswith(OWN))
+        return [*(f"action_{command}" for command in commands), *super()._names()]
+
+    @property
+    def flags_on(self) -> tuple[str, ...]:
+        """What the present mode switches on."""
+        core = self._core
+        return core.type.modes[core.mode_names[int(core.state.mode[self._row])]].on or ()
+
+    def field(self, name: str) -> np.ndarray:
+        """Return a field of the state of the satellite; AttributeError for one that it does not have."""
+        if name not in self._core.tick.state.fields:
+            raise AttributeError(f"{self.satellite.name} has no {name}; another model of its flight software has it")
+        return np.atleast_1d(self._core.read(name)[self._row].numpy(force=True))
 
     @property
     def fsw_rate(self) -> float:
@@ -392,11 +500,18 @@ class FlightSoftwareView(SatelliteModelView):
         core = self._core
         if command not in core.type.commands:
             core.check_command(command)
+        if self._commanding is not None:
+            mode = core.mode_names[int(core.mode_index(command)[self._row])]
+            self._commanding.enter(core.type.modes[mode])
+            return
         if "image_rso" in core.type.commands:
             self.rso_capture.forget()
         core.command(self._rows, core.mode_index(command))
 
     def _write(self, name: str, value: object) -> None:
+        if self._commanding is not None:
+            self._commanding.fields[name] = value
+            return
         rows = self._rows
         self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
 
@@ -407,14 +522,15 @@ class FlightSoftwareView(SatelliteModelView):
             raise AttributeError(self._advice("rso_capture"))
         return self.__dict__.setdefault("_capture", Capture(self.satellite))
 
-    @property
-    def locPoint(self) -> SimpleNamespace:
-        """Basilisk's guidance for images: ``pHat_B``, the axis of the instrument in body axes, a unit vector."""
-        args = self.satellite.sat_args
-        if "inst_pHat_B" not in args:
-            raise AttributeError(self._advice("locPoint"))
-        axis = np.array(args["inst_pHat_B"], dtype=float)
-        return SimpleNamespace(pHat_B=axis / np.linalg.norm(axis))
+    def _module(self, name: str) -> Any:
+        """Return a module of Basilisk's flight software, if the model has it."""
+        module = messages.FSW_MODULES[name]
+        if not module.exists(self):
+            raise AttributeError(self._advice(name))
+        if module.message is not None:
+            return module.message(self)
+
+        return Commanded(name, lambda: self._commanding, partial(messages.read_of, self, module.attributes))
 
     def action_image_rso(
         self,
@@ -438,7 +554,7 @@ class FlightSoftwareView(SatelliteModelView):
 
     def action_image(self, r_LP_P: object, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
-        if "image_rso" in self._core.type.commands:
+        if self._commanding is None and "image_rso" in self._core.type.commands:
             raise NotImplementedError(f"{type(self._whole).__name__} images satellites: use act.ImageRSO")
         self._enter("image")
         self._write("r_LP_P", r_LP_P)
@@ -509,6 +625,24 @@ class WorldView(ModelView):
         args = self.simulator.world_args
         return args[name] if name in messages.KEPT and name in args else super().__getattr__(name)
 
+    def _member(self, name: str, member: Any, owner: type) -> object:
+        if name in SKY and owner.__module__.startswith(CORE):
+            return self.observed(SKY[name])
+        return super()._member(name, member, owner)
+
+    def _entry(self, name: str, value: object) -> object:
+        return of_row(value, 0)
+
+    @property
+    def _observer(self) -> Observer:
+        """That of the first satellite, whose kernel knows the sky."""
+        return self.simulator.fleet.simulators[0].observer
+
+    @property
+    def planet(self) -> object:
+        """Basilisk's Earth: ``mu``, m^3/s^2, and ``radEquator``, m."""
+        return self.gravFactory.gravBodies["earth"]
+
     @property
     def eclipseObject(self) -> object:
         """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
@@ -520,6 +654,14 @@ class WorldView(ModelView):
     def gravFactory(self) -> object:
         """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
         return messages.gravity_factory(self)
+
+    @property
+    def densityModel(self) -> object:
+        """Basilisk's exponential atmosphere: ``planetRadius``, m, ``baseDensity``, kg/m^3, ``scaleHeight``, m."""
+        args = self.simulator.world_args
+        if "baseDensity" not in args:
+            raise AttributeError(self._advice("densityModel"))
+        return Commanded("densityModel", lambda: None, args.__getitem__)
 
     @property
     def ephemConverter(self) -> object:

@@ -13,6 +13,7 @@ import numpy as np
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.defaults import model_defaults, safe_dict_merge
+from bsk_torch.bsk_rl.older import check_arguments
 from bsk_torch.sim import dyn, fsw, world
 
 __all__ = [
@@ -57,6 +58,11 @@ class Part(Resetable):
 
     satellite: Any
     simulator: Any
+
+    def __new__(cls, *args: object, **kwargs: object) -> Any:
+        """Make a part; TypeError for an argument of older versions of bsk_rl."""
+        check_arguments(cls, kwargs)
+        return super().__new__(cls)
 
     def link_satellite(self, satellite: object) -> None:
         """Store the satellite."""
@@ -183,22 +189,41 @@ def vectorize_nested_dict(dictionary: Mapping[str, object]) -> tuple[list[str], 
         TypeError: For what is no number, list, array or dictionary of such.
     """
     names: list[str] = []
-    values: list[np.ndarray] = []
     for key, value in dictionary.items():
         if isinstance(value, Mapping):
-            inner, numbers = vectorize_nested_dict(value)
-            names += [f"{key}.{name}" for name in inner]
-            values.append(numbers)
+            names += [f"{key}.{name}" for name in vectorize_nested_dict(value)[0]]
         elif isinstance(value, np.ndarray | list):
-            numbers = value.flatten() if isinstance(value, np.ndarray) else np.asarray(value)
-            names += [f"{key}[{k}]" for k in range(len(numbers))]
-            values.append(numbers)
-        elif isinstance(value, int | float | np.number | np.bool_) and not isinstance(value, np.complexfloating):
-            names.append(key)
-            values.append(np.asarray([value]))
+            names += [f"{key}[{k}]" for k in range(np.size(value) if isinstance(value, np.ndarray) else len(value))]
         else:
-            raise TypeError(f"{key}={value!r} cannot be part of a vector: give a number, a list or an array")
-    return names, np.concatenate(values)
+            names.append(key)
+    return names, numbers_of(dictionary)
+
+
+def numbers_of(dictionary: Mapping[str, object]) -> np.ndarray:
+    """Return the numbers of nested dictionaries; see :func:`vectorize_nested_dict`."""
+    parts: list[np.ndarray] = []
+    single: list[object] = []  # numbers since the last array
+
+    def walk(entries: Mapping[str, object]) -> None:
+        for key, value in entries.items():
+            if isinstance(value, float | int) or (
+                isinstance(value, np.number | np.bool_) and not isinstance(value, np.complexfloating)
+            ):
+                single.append(value)
+            elif isinstance(value, np.ndarray | list):
+                if single:
+                    parts.append(np.array(single))
+                    single.clear()
+                parts.append(value.flatten() if isinstance(value, np.ndarray) else np.asarray(value))
+            elif isinstance(value, Mapping):
+                walk(value)
+            else:
+                raise TypeError(f"{key}={value!r} cannot be part of a vector: give a number, a list or an array")
+
+    walk(dictionary)
+    if single or not parts:
+        parts.append(np.array(single))
+    return np.concatenate(parts)
 
 
 # -- composition of classes ------------------------------------------------------------------------------------------------------

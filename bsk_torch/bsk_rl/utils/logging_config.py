@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from typing import Any
 
 from bsk_torch._text import visible
@@ -89,3 +90,11 @@ class ContextFilter(logging.Filter):
         if simulator is not None:
             record.sim_time = simulator.sim_time
         return self.proc_id == record.process
+
+
+def say(logger: logging.Logger, text: str, *args: object) -> None:
+    """Log a warning that programs must see at every log level: as a Python warning where the logger drops it."""
+    if logger.isEnabledFor(logging.WARNING):
+        logger.warning(text, *args)
+    else:
+        warnings.warn(text % args if args else text, stacklevel=3)

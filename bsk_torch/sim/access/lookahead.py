@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 from typing_extensions import override
 
@@ -146,7 +145,7 @@ class LookAhead(StateTable):
             self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 
     @override
-    def over(self, saved: Mapping[str, object] | TensorDictBase) -> LookAhead:
+    def over(self, saved: Mapping[str, object]) -> LookAhead:
         other = super().over(saved)
         tables: Mapping[str, Any] = other.tables
         other.arcs, other.eclipses, other.access = tables["arcs"], tables["eclipses"], tables.get("windows")

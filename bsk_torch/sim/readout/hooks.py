@@ -65,18 +65,20 @@ DEGREES = (0, *range(LEAST_DEGREE, DEGREE + 1))  # degrees of the Earth's field
 SIMILAR = 0.85  # similarity of two names of values from which one counts as a misspelling of the other
 
 
-def check_model(cls: type, base: type) -> None:
+def check_model(cls: type, base: type, runs: Callable[[str, object], bool] | None = None) -> None:
     """Raise an error for a class of models, derived from ``base``, with definitions that would never be used.
 
-    TypeError for hooks that do not exist here, misspelled tables, and tables that are not made of what they hold; ValueError
-    for a component that has no place in the tick.
+    ``runs`` tells of a name and its definition whether they are used outside of the core. TypeError for hooks that do not exist
+    here, misspelled tables, and tables that are not made of what they hold; ValueError for a component that has no place in the
+    tick.
     """
-    check_class(cls, base, (), UNUSED)
+    check_class(cls, base, (), UNUSED, runs)
     for owner in cls.__mro__:
         if owner is object or (owner is not cls and issubclass(owner, base)):
             continue  # checked when it was defined
         for name, value in vars(owner).items():
-            _check_member(cls, owner, base, name, value)
+            if runs is None or not runs(name, value):
+                _check_member(cls, owner, base, name, value)
     schedules = (vars(model).get("schedule") for model in (base, *_subclasses(base)))
     slots = {slot.name for schedule in schedules if isinstance(schedule, Schedule) for slot in schedule}
     for component in (*vars(cls).get("components", ()), *vars(cls).get("world_components", ())):

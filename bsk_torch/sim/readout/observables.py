@@ -217,14 +217,14 @@ class Observer:
         columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
         return columns_read > 0.5 if kind is bool else columns_read
 
-    def table_of(self, functions: tuple[Function, ...]) -> tuple[Tensor, Tensor]:
-        """Return all that the kernel computes, [N, W], and the columns of vitals there; KeyError unless it computes them."""
-        kernel = self._kernel or self._built()
+    def table(self) -> tuple[Tensor, ObserverKernel] | None:
+        """Return all that the kernel computes, [N, W], and the kernel, which knows the columns; None without a kernel."""
+        kernel = (self._kernel or self._built()) if self.kernels and self.wanted else None
         if kernel is None:
-            raise KeyError("there is no kernel of observables")
+            return None
         if self._version != self.state.version:
             self._forget_the_past()
-        return self._read_all(kernel) if self._table is None else self._table, kernel.places(functions)
+        return self._read_all(kernel) if self._table is None else self._table, kernel
 
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
         table = self._table = kernel(self.state, self.arcs)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bsk_torch import ConstellationTasking, act, data, obs, rand, sats
 from bsk_torch.astro.relative import fibonacci_sphere
-from bsk_torch.env.action_forms import NO_ACTION
+from bsk_torch.env.no_action import NO_ACTION
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.tasks.inspection import RSODynModel, RSOInspectionReward, RSOInspectorDynModel, RSOInspectorFSWModel, SphericalRSO
 from bsk_torch.tasks.inspection.obs import rso_imaged_regions

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch import ConstellationTasking, act, obs, rand, sats
-from bsk_torch.env.action_forms import NO_ACTION
+from bsk_torch.env.no_action import NO_ACTION
 from bsk_torch.sim import dyn
 from bsk_torch.tasks.objects import (
     ImageRSO,

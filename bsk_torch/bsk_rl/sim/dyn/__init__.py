@@ -1,6 +1,6 @@
-"""Dynamics models of bsk_rl, which are those of the core."""
+"""Dynamics models of bsk_rl: those of the core, with bsk_rl's hooks; see :mod:`bsk_torch.bsk_rl.sim.models`."""
 
-from bsk_torch.bsk_rl.sim.dyn.rso_imaging import RSOTargetDynModel, SpaceToSpaceImagingDynModel
+from bsk_torch.bsk_rl.sim.models import counterpart, counterparts
 from bsk_torch.sim.dyn import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -16,6 +16,12 @@ from bsk_torch.sim.dyn import (
     MaxRangeDynModel,
 )
 from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel
+from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
+
+
+class RSOTargetDynModel(counterpart(BasicDynamicsModel)):
+    """A satellite that others image; see :class:`bsk_torch.bsk_rl.scene.RSOTargets`. It flies with ``fsw.FSWModel``."""
+
 
 DynamicsModelABC = DynamicsModel
 
@@ -38,3 +44,5 @@ __all__ = [
     "RSOTargetDynModel",
     "SpaceToSpaceImagingDynModel",
 ]
+
+counterparts(globals(), __all__)

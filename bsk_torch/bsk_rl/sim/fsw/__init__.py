@@ -1,6 +1,6 @@
-"""Flight-software models of bsk_rl, which are those of the core."""
+"""Flight-software models of bsk_rl: those of the core, with bsk_rl's hooks; see :mod:`bsk_torch.bsk_rl.sim.models`."""
 
-from bsk_torch.bsk_rl.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
+from bsk_torch.bsk_rl.sim.models import Task, action, counterparts
 from bsk_torch.sim.fsw import (
     BasicFSWModel,
     ContinuousImagingFSWModel,
@@ -9,10 +9,9 @@ from bsk_torch.sim.fsw import (
     MagicOrbitalManeuverFSWModel,
     SteeringFSWModel,
     SteeringImagerFSWModel,
-    Task,
-    action,
 )
 from bsk_torch.tasks.inspection import RSOInspectorFSWModel
+from bsk_torch.tasks.objects import SpaceToSpaceImagingFSWModel
 
 FSWModelABC = FSWModel
 
@@ -30,3 +29,5 @@ __all__ = [
     "Task",
     "action",
 ]
+
+counterparts(globals(), __all__)
