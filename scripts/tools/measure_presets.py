@@ -35,7 +35,8 @@ EPISODES = 256
 
 FEWER = {
     **dict.fromkeys(("AEOSConstellation-v1", "RelayConstellation-v1", "MultiInspection-v1", "Services-v1"), 64),
-    **dict.fromkeys(("Constellation-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1", "AEOSBench-v1"), 32),
+    **dict.fromkeys(("Constellation-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1"), 16),
+    "AEOSBench-v1": 8,
 }
 """The same of presets whose episodes take longer."""
 
