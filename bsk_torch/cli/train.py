@@ -80,7 +80,7 @@ def train(
 ) -> None:
     """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.
 
-    The last line says whether the policy is better than the best rule, and else what is known to be.
+    It ends with whether the policy is better than the best rule, and else what is known to be.
 
     Examples:
         bsk-torch train NadirScan-v1 --minutes 3
