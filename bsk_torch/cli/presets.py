@@ -38,8 +38,8 @@ def list_presets(
 
 
 SCORED = (
-    "Last lines: mean returns of the best rule and of the pretrained policy in the same n unseen episodes, the gain of the policy "
-    "with its 95 % interval, and the gain as a share of how far the better one is above random actions."
+    "Last lines: mean returns of the best rule and of the pretrained policy in the same n unseen episodes, the gain of the "
+    "policy with its 95 % interval, and in brackets its share of how far the better one is above random actions."
 )
 
 

@@ -53,6 +53,9 @@ VIEWS: dict[str, dict[str, object]] = {
 }
 """Options of presets that rules need, where the preset itself does not have them."""
 
+CANDIDATES = {"candidates": True}
+"""View of AEOSBench-v1 in which ``nearest`` chooses."""
+
 WAYPOINTS = {"actions": "waypoints"}
 
 
@@ -60,7 +63,7 @@ def players(preset: str) -> Iterator[tuple[str, str, dict[str, object]]]:
     """Yield the name in the table, the rule or ``pretrained``, and the options of the environment, for each policy."""
     yield "random", "random", {}
     for name in LISTED[preset].rules:
-        yield name, name, VIEWS.get(name, {})
+        yield name, name, CANDIDATES if (preset, name) == ("AEOSBench-v1", "nearest") else VIEWS.get(name, {})
         if "survey" in name:
             yield f"{name},actions=waypoints", name, WAYPOINTS
     if preset in makings():
