@@ -38,8 +38,8 @@ def list_presets(
 
 
 SCORED = (
-    "Last lines: mean returns of the best rule and of the pretrained policy, the gain of the policy over the rule with its 95 % "
-    "interval, and the gain as a share of how far the better one is above random actions."
+    "Last lines: mean returns of the best rule and of the pretrained policy in the same n unseen episodes, the gain of the "
+    "policy with its 95 % interval, and in brackets its share of how far the better one is above random actions."
 )
 
 
@@ -53,11 +53,11 @@ def scored(name: str) -> str:
     digits = 3 if abs(rule) < 10.0 else 1
     line = f"\n{entry['best_rule']} {rule:.{digits}f}, "
     if gain is None:
-        return f"{line}no policy; n = {entry['episodes']}"
+        return f"{line}no policy, n={entry['episodes']}"
     policy = returns["pretrained"]
     share = gain["mean"] / (max(policy, rule) - random)
     interval = f"{gain['mean']:+.{digits}f} ± {gain['half_width']:.{digits}f}"
-    return f"{line}policy {policy:.{digits}f} ({interval}, {share:+.1%}); n = {entry['episodes']}"
+    return f"{line}policy {policy:.{digits}f}: {interval} ({share:+.1%}), n={entry['episodes']}"
 
 
 EXPLAINED = "Pretrained policies: mean return of unseen episodes with its 95 % interval, and their training"

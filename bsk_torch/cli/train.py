@@ -80,7 +80,7 @@ def train(
 ) -> None:
     """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.
 
-    The last line says whether the policy is better than the best rule, and else what is known to be.
+    It ends with whether the policy is better than the best rule, and else what is known to be.
 
     Examples:
         bsk-torch train NadirScan-v1 --minutes 3
@@ -92,8 +92,8 @@ def train(
     """
     from bsk_torch.cli.training import check, check_resumable, configured, evaluated, read, run, several
     from bsk_torch.rl.evaluation.results import print_results
-    from bsk_torch.rl.evaluation.verdict import compared_episodes
     from bsk_torch.rl.policies.shared_policy import shared_baselines
+    from bsk_torch.rl.training.verdict import compared_episodes
 
     limits = {"frames": frames, "seconds": minutes and 60.0 * minutes}
     changes = [*(f"{name}={value}" for name, value in limits.items() if value is not None), *(changes or [])]

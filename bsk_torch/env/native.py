@@ -141,8 +141,8 @@ class NativePhases:
         assert observed is not None  # there are kernels, and vitals are wanted
         table, kernel = observed
         given = dict(
-            numbers=numbers, table=table, columns=kernel.places(self.vitals), ticks=ticks, limit=limit, counts=counts, dead=task.dead,
-            reward=reward, returns=episodes.returns,
+            numbers=numbers, table=table, columns=kernel.places(self.vitals), ticks=ticks, limit=limit, counts=counts,
+            dead=task.dead, reward=reward, returns=episodes.returns,
         )  # fmt: skip
         (dead, returns, reward, terminated, truncated, done, duration), _ = self.judge(n, given)
         task.put(dead=dead)

@@ -35,7 +35,8 @@ EPISODES = 256
 
 FEWER = {
     **dict.fromkeys(("AEOSConstellation-v1", "RelayConstellation-v1", "MultiInspection-v1", "Services-v1"), 64),
-    **dict.fromkeys(("Constellation-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1", "AEOSBench-v1"), 32),
+    **dict.fromkeys(("Constellation-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1"), 16),
+    "AEOSBench-v1": 8,
 }
 """The same of presets whose episodes take longer."""
 
@@ -52,6 +53,9 @@ VIEWS: dict[str, dict[str, object]] = {
 }
 """Options of presets that rules need, where the preset itself does not have them."""
 
+CANDIDATES = {"candidates": True}
+"""View of AEOSBench-v1 in which ``nearest`` chooses."""
+
 WAYPOINTS = {"actions": "waypoints"}
 
 
@@ -59,7 +63,7 @@ def players(preset: str) -> Iterator[tuple[str, str, dict[str, object]]]:
     """Yield the name in the table, the rule or ``pretrained``, and the options of the environment, for each policy."""
     yield "random", "random", {}
     for name in LISTED[preset].rules:
-        yield name, name, VIEWS.get(name, {})
+        yield name, name, CANDIDATES if (preset, name) == ("AEOSBench-v1", "nearest") else VIEWS.get(name, {})
         if "survey" in name:
             yield f"{name},actions=waypoints", name, WAYPOINTS
     if preset in makings():

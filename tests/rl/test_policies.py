@@ -84,6 +84,7 @@ def test_rejects_files_of_others(path, tmp_path):
     planned = lambda n_observed, hidden: saved(plan={"n_observed": n_observed, "n_actions": 4, "hidden": hidden})
     card, version = read_card(path), bsk_torch.__version__
     narrow = card | {"actor": {name: value[..., :-1] for name, value in card["actor"].items()}}
+    cost = {"decisions": 5, "core_seconds": 1.0, "tuning_runs": 0}
     infinite = {name: torch.full_like(value, torch.nan) for name, value in card["actor"].items()}
     other = bsk_torch.make("AEOSPower-v1", num_envs=1, backend="eager", time_limit=300.0)
     check_refusals(
@@ -97,6 +98,9 @@ def test_rejects_files_of_others(path, tmp_path):
         refusal(lambda: saved(preset=5), ValueError, "policy.pt", version),
         refusal(lambda: saved(options=[1]), ValueError, "policy.pt", version),
         refusal(lambda: saved(options={"log_dir": "somewhere"}), ValueError, "policy.pt", "'log_dir'"),
+        refusal(lambda: saved(training={"decisions": 5}), ValueError, "policy.pt", version),
+        refusal(lambda: saved(training=cost | {"core_seconds": float("nan")}), ValueError, "policy.pt", version),
+        refusal(lambda: saved(training=cost | {"tuning_runs": "none"}), ValueError, "policy.pt", version),
         refusal(lambda: saved(network=None), ValueError, "policy.pt", version),
         refusal(lambda: saved(network="mpl"), ValueError, "network", "'mpl'", "'mlp'"),
         refusal(lambda: saved(groups=5), ValueError, "policy.pt", version),

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
-from bsk_torch.rl.policies.files import POLICY, policy_of_file
+from bsk_torch.rl.policies.files import POLICY, policy_of_file, read_card
 from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.lock import LOCK, FolderInUseError, FolderLock
@@ -87,6 +87,18 @@ def test_after_a_failed_resume_the_run_goes_on_as_if_nothing_had_happened(half, 
     with pytest.raises(ValueError, match="cannot be resumed as"):
         Training(dataclasses.replace(SMALL, options={"time_limit": 900.0}), half, resume=True)
     assert weights(Training(SMALL, half, resume=True).run()).equal(weights(policy_of_file(whole)))
+
+
+def test_the_file_of_a_policy_has_what_the_whole_training_cost(half):
+    before = read_card(half)["training"]
+    assert (before["decisions"], before["tuning_runs"]) == (24, 0)
+    assert 0.0 < before["core_seconds"] < 60.0
+    run = Training(dataclasses.replace(SMALL, tuning_runs=3), half, resume=True)
+    run.progress.cpu_before += 1000.0  # as if the first part had taken longer
+    run.run(bar=False)
+    after = read_card(half)["training"]
+    assert (after["decisions"], after["tuning_runs"]) == (72, 3)
+    assert 1000.0 < after["core_seconds"] < 1060.0
 
 
 DAMAGES = [lambda data: data[: len(data) // 2 + 3], lambda data: b"no such file", lambda data: b""]

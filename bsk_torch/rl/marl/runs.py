@@ -18,7 +18,6 @@ from bsk_torch.presets import PRESETS, make
 from bsk_torch.presets.own import OwnEnvironment
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, TRAINED, Comparison, compare, print_results, save_results
-from bsk_torch.rl.evaluation.verdict import compared_episodes, verdict
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
@@ -27,6 +26,7 @@ from bsk_torch.rl.training.config import CONFIG, PPOConfig, check_setting, load_
 from bsk_torch.rl.training.imitation import OWN, enter_teacher
 from bsk_torch.rl.training.recipes import RECIPES, recipe_of
 from bsk_torch.rl.training.trainer import Training
+from bsk_torch.rl.training.verdict import compared_episodes, verdict
 from bsk_torch.sim.arguments.values import nearest
 
 PPO = "ppo"

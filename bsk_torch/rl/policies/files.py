@@ -165,7 +165,7 @@ def _is_card(card: Mapping[str, object]) -> bool:
 
 
 def _is_training(value: object) -> bool:
-    """Return whether an object says what a training has cost."""
+    """Return whether an object has the entries :data:`TRAINING`, within their bounds."""
     return (
         isinstance(value, dict)
         and value.keys() == TRAINING.keys()

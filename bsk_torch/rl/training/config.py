@@ -153,7 +153,7 @@ class PPOConfig:
         ahead: Whether these collect the next batch while one is learned from, so that no core waits. Every batch is then by a
             policy that is exactly one update old; results do not depend on speed, and resume bit for bit.
         tuning_runs: Number of trainings by which these settings were chosen, as you declare it; the file of the policy records it
-            beside the decisions and core-seconds of this training.
+            with the decisions and core-seconds of this training.
         options: Arguments of the environment that differ from the preset's.
     """
 

@@ -3,7 +3,9 @@
 import json
 
 import pytest
+import torch
 
+from bsk_torch.lab.commands.board import with_references
 from bsk_torch.lab.suites import suite as suites
 from bsk_torch.lab.suites.suite import PUBLISHED, references, tasks_of
 
@@ -54,6 +56,41 @@ def test_methods_are_aggregated_over_their_runs_and_tasks(run, board, tmp_path, 
     assert rules["basilisk"] == {"same": 2, "episodes": 2}
     assert "2 of 2" in result.output
     assert "<svg" in (tmp_path / "profiles.svg").read_text()
+
+
+def test_methods_are_shown_with_their_most_expensive_training(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "240")
+    cost = lambda decisions, runs: {"training": {"decisions": decisions, "core_seconds": 90.0, "tuning_runs": runs}}
+    costs = {"a/0": cost(262_144, 3), "a/1": cost(250_000, 0), "b": cost(2_500_000, None), "c": cost(3_000_000, 1), "d": {}}
+    costs["rule"] = cost(0, None)
+    policies = {name: {SCAN: scoring(SCAN, 0.5, 0.6)[SCAN] | row} for name, row in costs.items()}
+    path = tmp_path / "bench.json"
+    path.write_text(json.dumps({"format": 1, "suite": "v1", "policies": policies}))
+    methods = [f"--method={name}={name}" for name in ("b", "c", "d", "rule")]
+    result = run("leaderboard", path, "--method=a=a/*", *methods, "--out", tmp_path / "out.json")
+    assert result.exit_code == 0, result.output
+    kept = {name: one["training"] for name, one in json.loads((tmp_path / "out.json").read_text())["methods"].items()}
+    assert kept["a"] == {"track": "250k", "decisions": 262_144, "core_seconds": 90.0, "tuning_runs": 3}
+    assert {name: row and row["track"] for name, row in kept.items()} == {
+        "a": "250k",
+        "b": "2.5M",
+        "c": "open",
+        "d": None,
+        "rule": "none",
+    }
+    assert "262,144" in result.output
+    assert result.output.count("no record") >= 2
+
+
+def test_intervals_include_uncertain_references():
+    scale = lambda half: {"low": {"return": 2.0}, "high": {"return": 6.0, "half_width": half}}
+    drawn = torch.full((20_000, 1, 2), 0.5, dtype=torch.float64)
+    found = with_references({"a": drawn, "b": 2.0 * drawn}, [scale(0.0), scale(0.4)])
+    assert (found["a"][..., 0] == 0.5).all()
+    # score 0.5 * 4 / (4 + e), with a 95 % interval of e of +-0.4
+    low, high = found["a"][..., 1].quantile(torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
+    assert (low, high) == (pytest.approx(2.0 / 4.4, abs=3e-3), pytest.approx(2.0 / 3.6, abs=3e-3))
+    assert torch.allclose(found["b"], 2.0 * found["a"])  # the same draws
 
 
 def test_files_are_merged_by_policy_and_task(run, board, tmp_path):

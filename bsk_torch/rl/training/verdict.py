@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 
 from bsk_torch._listed import makings, scores
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.results import TRAINED
 from bsk_torch.rl.training.config import SECONDS, PPOConfig
+from bsk_torch.tables import line_width
 
 SHARE = 0.1
 """Fraction of the training time, :data:`~bsk_torch.rl.training.config.SECONDS` at least, for the comparison at its end."""
@@ -37,9 +39,9 @@ def compared_episodes(config: PPOConfig) -> int:
 
 
 def verdict(results: Mapping[str, Evaluation], preset: str) -> str:
-    """Return a line on whether the trained policy is better than the best rule in the same episodes, and else on what is.
+    """Return whether the trained policy is better than the best rule in the same episodes, and else what is, to be printed last.
 
-    The best rule is the one with the highest mean in these episodes, which favors it a little. An empty line without rules.
+    The best rule is the one with the highest mean in these episodes, which favors it a little. An empty text without rules.
     """
     rules = {name: result for name, result in results.items() if name not in OTHERS}
     if not rules:
@@ -51,20 +53,26 @@ def verdict(results: Mapping[str, Evaluation], preset: str) -> str:
         "unseen episodes"
     )
     if gain.mean > gain.half_width:
-        return f"verdict: the policy is better than the best rule, {best}: {numbers}"
+        return wrapped(f"verdict: the policy is better than the best rule, {best}: {numbers}")
     better = "is better than the policy" if -gain.mean > gain.half_width else "may be as good as the policy or better"
-    return f"verdict: the rule {best} {better}: {numbers}; {remedy(preset, best)}"
+    known, *command = remedy(preset, best)
+    return "\n".join((wrapped(f"verdict: the rule {best} {better}: {numbers}; {known}"), *command))
 
 
-def remedy(preset: str, rule: str) -> str:
-    """Return what is known to be better than the rules of a preset, from the table of :func:`~bsk_torch._listed.scores`."""
+def wrapped(text: str) -> str:
+    """Return a text in lines that fit the terminal."""
+    return textwrap.fill(text, line_width(), break_on_hyphens=False)
+
+
+def remedy(preset: str, rule: str) -> tuple[str, ...]:
+    """Return what is better than the rules of a preset by :func:`~bsk_torch._listed.scores`, and the command, if any."""
     entry, published = scores().get(preset), makings().get(preset)
     if entry is None:
-        return f"train longer (--minutes), or imitate the rule at the start (imitate={rule})"
+        return (f"train longer (--minutes), or imitate the rule at the start (imitate={rule})",)
     if published is None:
-        return f"no training is known to do better in {preset}: use the rule"
+        return (f"no training is known to do better in {preset}: use the rule",)
     gain = f"{entry['gain']['mean']:+.3g} ± {entry['gain']['half_width']:.2g}"
     if entry["gain"]["mean"] <= entry["gain"]["half_width"]:
-        return f"in {preset}, the published policy is not known to be better than {entry['best_rule']} ({gain}): use the rule"
+        return (f"in {preset}, the published policy is not known to be better than {entry['best_rule']} ({gain}): use the rule",)
     better = f"in {preset}, the published policy is better than {entry['best_rule']} by {gain}"
-    return f"{better}, after {published['seconds'] / 60.0:.0f} minutes: {published['command']}"
+    return f"{better}, after {published['seconds'] / 60.0:.0f} minutes of", published["command"]
