@@ -49,12 +49,7 @@ nitpicky = True
 suppress_warnings = ["config.cache"]  # settings hold functions
 
 # Markdown
-myst_enable_extensions = [
-    "dollarmath",
-    "deflist",
-    "attrs_block",
-    "attrs_inline",
-]
+myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
 

@@ -134,7 +134,7 @@ def preset_page(name: str, preset: Any) -> str:
     rows = [(f"``{option} = {default}``", meaning) for option, default, meaning in options(preset)]
     text = [
         title(f"``{name}``"),
-        f"{about(name)}.\n".replace("`", "``"),
+        f"{about(name)[0].upper()}{about(name)[1:]}.\n".replace("`", "``"),
         f"``bsk_torch.make({name!r}, num_envs=..., **options)``\n",
     ]
     text += [".. rubric:: Options\n", listing(rows, "40 60")] if rows else []
