@@ -8,14 +8,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.tasks.sites.scene import BEGUN, NOT_BEGUN, Sites
-from bsk_torch.vec3 import Vec3
 
 BITS = 8
 """Numbers of the code of a site."""
+
+NEXT = 64
+"""Images among which the others of a site are looked for: the 32 observed ones, and those that close within a minute or more."""
 
 
 class Prospects(NamedTuple):
@@ -24,7 +25,7 @@ class Prospects(NamedTuple):
     Attributes:
         size: Number of images of the site.
         done: Clear images taken.
-        left: Images that can still be taken, including this one.
+        left: Images that can still be taken in this pass, including this one.
         ago: Time since the first image, s; 0 before.
         risk: Probability that the image is not clear.
         chance: Probability that all images that are left are clear.
@@ -45,43 +46,33 @@ class Prospects(NamedTuple):
 def prospects(satellite: BoundAccessSatellite, images: Opportunities) -> Prospects:
     """Return what is known of the sites of the observed images, computed once for a state.
 
-    Images of a site are left if they have not been taken and the satellite has not left them behind. In a constellation, those
-    behind this satellite may still come into view of another one.
+    Images of a site are left if they can be chosen and are among the next :data:`NEXT` images of this satellite.
     """
     scenario: Sites = satellite.scenario
     key: Hashable = ("prospects", satellite.type_index)
     draws = satellite.fleet.scenario_state.version
-    return scenario._memo.once(key, satellite.fleet, lambda: _prospects(satellite, scenario, images.place), (draws,))
+    return scenario.memo.once(key, satellite.fleet, lambda: _prospects(satellite, scenario, images.place), (draws,))
 
 
 def _prospects(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> Prospects:
-    look_up, of_env = satellite.simulator.look_up, satellite.simulator.of_env
+    look_up = satellite.simulator.look_up
     site = image // scenario.most
-    others = site.unsqueeze(-1) * scenario.most + torch.arange(scenario.most, device=image.device)
-
-    def of_others(table: Tensor) -> Tensor:
-        return look_up(table, others.flatten(1)).view_as(others)
-
-    place = look_up(scenario.r_LP_P, others.flatten(1)).view(*others.shape, 3)
-    r, v = (Vec3.of(value[:, None, None]) for value in (satellite.dynamics.r_BN_P, satellite.dynamics.v_BN_P))
-    line = Vec3.of(place) - r
-    least = torch.sin(satellite.simulator.state.argument("imageTargetMinimumElevation"))
-    behind = (line.dot(v) < 0.0) & (sin_elevation(r, Vec3.of(place)) < least.reshape(-1, 1, 1))
-    free = of_others(scenario.available & ~scenario.shot) & ~behind
-    risk = of_others(scenario.drawn("image_risk"))
+    following = satellite.find_next_opportunities(NEXT, "target")
+    same = (site.unsqueeze(2) == (following.place // scenario.most).unsqueeze(1)) & following.mask.unsqueeze(1)
+    clear = 1.0 - look_up(scenario.drawn("image_risk"), following.place)
     size, done = look_up(scenario.drawn("site_size"), site), look_up(scenario.done, site)
-    begun = look_up(scenario.memory[BEGUN], site)
-    left = free.sum(-1)
+    left = same.double().sum(2)
     paid = scenario.gain(done / size)
     whole = look_up(scenario.priority, image) * size
-    now = of_env(satellite.fleet.sim_time).unsqueeze(-1)
+    begun = look_up(scenario.memory[BEGUN], site)
+    now = satellite.simulator.of_env(satellite.fleet.sim_time).unsqueeze(1)
     return Prospects(
         size=size,
         done=done,
-        left=left.double(),
+        left=left,
         ago=torch.where(begun == NOT_BEGUN, 0.0, now - begun),
         risk=look_up(scenario.drawn("image_risk"), image),
-        chance=torch.where(free, 1.0 - risk, 1.0).prod(-1),
+        chance=torch.where(same, clear.unsqueeze(1), 1.0).prod(2),
         step=whole * (scenario.gain((done + 1.0) / size) - paid),
         finish=whole * (scenario.gain((done + left) / size) - paid),
     )

@@ -128,7 +128,7 @@ class Sites(TargetScenario):
         super().link(fleet)
         self.memory.declare(SHOT, 0, self.most_targets, dtype=torch.bool)
         self.memory.declare(BEGUN, NOT_BEGUN, self.n_sites, low=NOT_BEGUN, high=FINITE)
-        self._memo = Memo()
+        self.memo = Memo()
 
     # -- state --------------------------------------------------------------------------------------------------------
 
