@@ -87,18 +87,6 @@ LISTED: dict[str, Listed] = {
     "CloudyAEOS-v1": Listed(
         "bsk_torch.presets.aeos:cloudy_aeos", ONE, "AEOS-v1 under clouds, observed only as a forecast", IMAGING
     ),
-    "Sites-v1": Listed(
-        "bsk_torch.tasks.sites.preset:sites",
-        ONE,
-        "take mosaics of 3 to 6 images that pay when complete, under weather with a forecast",
-        ("commit", *IMAGING),
-    ),
-    "SitesTeam-v1": Listed(
-        "bsk_torch.tasks.sites.preset:sites_team",
-        MANY,
-        "the same with two imagers, one behind the other, whose images count together",
-        ("commit", *IMAGING),
-    ),
     "Constellation-v1": Listed(
         "bsk_torch.presets.constellation:constellation", MANY, "12 imagers that communicate along lines of sight", IMAGING
     ),
@@ -119,6 +107,18 @@ LISTED: dict[str, Listed] = {
         MANY,
         "two optical satellites and a radar, to which clouds and night do not matter",
         (*IMAGING, "cooperative"),
+    ),
+    "Sites-v1": Listed(
+        "bsk_torch.tasks.sites.preset:sites",
+        ONE,
+        "take mosaics of 3 to 6 images that pay when complete, under weather with a forecast",
+        ("commit", *IMAGING),
+    ),
+    "SitesTeam-v1": Listed(
+        "bsk_torch.tasks.sites.preset:sites_team",
+        MANY,
+        "the same with two imagers, one behind the other, whose images count together",
+        ("commit", *IMAGING),
     ),
     "RSOInspection-v1": Listed(
         "bsk_torch.tasks.inspection.preset:rso_inspection",

@@ -10,12 +10,12 @@ name                       module                      task
 ``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
 ``CloudyAEOS-v1``          ``presets.aeos``            the same under clouds, observed only as a forecast
 ``AEOSPower-v1``           ``presets.aeos_power``      the same, with a small battery and data buffer, and weak wheels
-``Sites-v1``               ``tasks.sites``             take mosaics of images that pay when complete, under weather
-``SitesTeam-v1``           ``tasks.sites``             the same with two imagers, one behind the other
 ``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share all knowledge once a minute
 ``Constellation-v1``       ``presets.constellation``   12 imagers that communicate along lines of sight
 ``RelayConstellation-v1``  ``presets.constellation``   four low imagers, two high relays; broadcasting is an action
 ``HeteroCluster-v1``       ``presets.hetero_cluster``  two optical satellites and a radar, to which clouds do not matter
+``Sites-v1``               ``tasks.sites``             take mosaics of images that pay when complete, under weather
+``SitesTeam-v1``           ``tasks.sites``             the same with two imagers, one behind the other
 ``RSOInspection-v1``       ``tasks.inspection``        fly around a spacecraft until its surface is inspected
 ``MultiInspection-v1``     ``tasks.inspection``        the same with three inspectors that must not collide
 ``Services-v1``            ``tasks.objects``           image satellites and debris again and again; the ground verifies the images

@@ -24,7 +24,7 @@ from bsk_torch.rl.policies.files import LOGS, plain
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, check_setting, load_config, read_settings
 from bsk_torch.rl.training.imitation import OWN, enter_teacher
-from bsk_torch.rl.training.recipes import recipe_of
+from bsk_torch.rl.training.recipes import USUAL, recipe_of
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.sim.arguments.values import nearest
 
@@ -60,7 +60,8 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
 
     Args:
         preset: Name of the environment.
-        network: See :class:`PPOConfig`; None for ``"mlp"`` with one satellite and ``"attention"`` with many.
+        network: See :class:`PPOConfig`; None for that of :data:`~bsk_torch.rl.training.recipes.USUAL`, else
+            ``"mlp"`` with one satellite and ``"attention"`` with many.
         algorithm: One of :data:`ALGORITHMS`; None for ``"ppo"`` with one satellite and ``"mappo"`` with many.
         **changes: Fields of :class:`PPOConfig` or :class:`MAPPOConfig` that differ from the recipe.
 
@@ -68,7 +69,8 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
         ValueError: For an unknown algorithm, network or setting, or one that does not fit the environment.
     """
     many = is_constellation(preset, changes.get("options"))
-    algorithm, network = algorithm or ("mappo" if many else PPO), network or ("attention" if many else "mlp")
+    algorithm = algorithm or ("mappo" if many else PPO)
+    network = network or USUAL.get(preset, "attention" if many else "mlp")
     check_network(network)
     if algorithm not in ALGORITHMS:
         raise ValueError(f"algorithm={algorithm!r} must be one of {', '.join(ALGORITHMS)}; {nearest(algorithm, ALGORITHMS)}")

@@ -88,8 +88,8 @@ def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tens
 def site_code(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     """Return the number of each image's site as a code, [N, n, 8] of -1 and 1, so that networks can compare sites.
 
-    The bits are those of the number multiplied by an odd constant (Knuth, The art of computer programming 3, section 6.4): codes of
-    different sites differ in half of the bits on average.
+    The bits are those of the number multiplied by an odd constant (D. Knuth, The art of computer programming 3, section 6.4):
+    codes of different sites differ in half of the bits on average.
     """
     scenario: Sites = satellite.scenario
     hashed = (images.place // scenario.most + 1) * 2654435761

@@ -25,12 +25,13 @@ closing time:
 ``site_code`` (8)             a code of the number of the site, of -1 and 1
 ============================  ==================================================================================
 
-With ``as_set=True``, they are ``rows`` [N, 32, 24] with a ``mask`` [N, 32]. Only whether images not yet taken are clear is hidden.
+With ``as_set=True``, they are ``rows`` [N, 32, 24] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
+been taken are clear.
 
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
 
-Reward: value times size of the site times what the image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`, if it is
-clear. Images of a site can be chosen for 300 s after its first one.
+Reward: value times size of the site for the image that completes it; with ``scenario=Sites(300, gain="convex")``, what each clear
+image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. Images of a site can be chosen for 300 s after its first one.
 
 Termination: at the time limit of 2,850 s.
 
@@ -101,7 +102,9 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
     train = formations.train_args(APART, altitude=ALTITUDE / 1e3, inc=INCLINATION)
-    parts = dict(sat_arg_randomizer=train, sim_rate=0.5, max_step_duration=SOON, failure_penalty=0.0, terminate_on_time_limit=True)
+    parts = dict(
+        sat_arg_randomizer=train, sim_rate=0.5, max_step_duration=SOON, failure_penalty=0.0, terminate_on_time_limit=True
+    )
     return ConstellationTasking(satellites, **(_parts(n_sites) | parts | options))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -76,7 +77,11 @@ class CommitRule:
         taken = torch.maximum(read("opportunity_open"), slew * read("target_angle").clamp(min=0.0).sqrt())
         closes = read("opportunity_close")
         last = taken + (read("site_left") - 1.0).clamp(min=0.0) * each
-        whole = read("site_finish") * read("site_chance") ** nerve * (1.0 + loyalty * read("site_done") / read("site_size").clamp(min=1.0))
+        whole = (
+            read("site_finish")
+            * read("site_chance") ** nerve
+            * (1.0 + loyalty * read("site_done") / read("site_size").clamp(min=1.0))
+        )
         value = torch.where(last < closes + slack, whole * torch.exp(-last / patience), 0.0)
         value = value + alone * read("site_step") * (1.0 - read("risk")) * torch.exp(-taken / patience)
         value = torch.where(taken < closes, value, -1.0 - 1e-6 * taken)
@@ -84,6 +89,7 @@ class CommitRule:
         return self.images.start + value.masked_fill(~legal, -torch.inf).argmax(1)
 
 
-def commit(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
-    """Return a :class:`CommitRule` for an environment that observes sites; else KeyError or ValueError."""
-    return TensorDictModule(CommitRule.of(env).decide, in_keys=["observation", "action_mask"], out_keys=["action"])
+def commit(env: SatelliteTasking, seed: int = 0, **numbers: float) -> TensorDictModule:
+    """Return a :class:`CommitRule` with other ``numbers`` for an environment that observes sites; else KeyError or ValueError."""
+    decide = partial(CommitRule.of(env).decide, **numbers)
+    return TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])

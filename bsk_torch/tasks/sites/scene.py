@@ -13,7 +13,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Memo
-from bsk_torch.scene.draws import horizontal, on_sphere
+from bsk_torch.scene.draws import on_sphere
 from bsk_torch.scene.overlaid import displaced
 from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.names import one_of
@@ -36,12 +36,12 @@ GAINS: dict[str, tuple[tuple[float, float], ...]] = {
 
 
 class Sites(TargetScenario):
-    """Sites of 3 to 6 images, of which parts pay little, drawn in every episode; an image is a target.
+    """Sites of 3 to 6 images, of which parts pay little or nothing, drawn in every episode; an image is a target.
 
-    The images of a site lie on a grid with three columns, turned at random about its middle. A site of value v with n images, m of
-    which are clear, has paid ``v n gain(m / n)``: it pays for the whole rather than for images. The ``"convex"`` gain is the
-    piecewise linear one of the ROADEF challenge 2003, a planning problem of SPOT 5's successors (Verfaillie, Lemaître et al.,
-    "Management of the mission of Earth observation satellites: challenge description", 2002)::
+    The images of a site lie on a grid with three columns, turned at random about its middle. A site of value v with n images,
+    m of which are clear, has paid ``v n gain(m / n)``: with the ``"complete"`` gain, nothing before all are clear. The
+    ``"convex"`` gain is the piecewise linear one of the ROADEF challenge 2003 (M. Lemaître, G. Verfaillie et al., "Selecting and scheduling
+    observations of agile satellites", Aerospace Science and Technology 6, 2002; roadef.org/challenge/2003)::
 
         gain(0) = 0    gain(0.4) = 0.1    gain(0.7) = 0.4    gain(1) = 1
 
@@ -58,8 +58,8 @@ class Sites(TargetScenario):
         *,
         spacing: float = 100e3,
         latitude: float = 9.0,
-        risk: float = 0.5,
-        gain: str = "convex",
+        risk: float = 0.4,
+        gain: str = "complete",
         within: float = 300.0,
     ) -> None:
         """ValueError for a wrong argument.
@@ -69,7 +69,7 @@ class Sites(TargetScenario):
             spacing: Distance between neighboring images of a site, m.
             latitude: Largest latitude of sites, north and south, degrees; they are uniform by area between.
             risk: Largest probability that an image is not clear; 0 for no weather.
-            gain: One of :data:`GAINS`: ``"convex"``, or ``"complete"`` to pay for complete sites only.
+            gain: One of :data:`GAINS`: ``"complete"`` to pay for complete sites only, or ``"convex"``.
             within: Time after its first image in which a site's further images can be chosen, s.
         """
         self.n_sites = whole("n_sites", n_sites, 1, 100_000)
