@@ -4,7 +4,7 @@ from __future__ import annotations
 
 SITES: dict[str, dict[str, object]] = {
     "attention": dict(
-        frames=400_000,
+        frames=350_000,
         num_envs=128,
         rollout=32,
         hidden=(64,),
@@ -14,8 +14,8 @@ SITES: dict[str, dict[str, object]] = {
         gamma=0.996,
         entropy=0.003,
         imitate="commit",
-        imitation=0.15,
-        evaluate_every=100_000,
+        imitation=0.18,
+        evaluate_every=70_000,
         evaluate_episodes=128,
     )
 }

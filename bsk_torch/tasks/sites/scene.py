@@ -40,7 +40,7 @@ class Sites(TargetScenario):
 
     The images of a site lie on a grid with three columns, turned at random about its middle. A site of value v with n images,
     m of which are clear, has paid ``v n gain(m / n)``: with the ``"complete"`` gain, nothing before all are clear. The
-    ``"convex"`` gain is the piecewise linear one of the ROADEF challenge 2003 (M. Lemaître, G. Verfaillie et al., "Selecting and scheduling
+    ``"convex"`` gain is the piecewise linear one of the ROADEF challenge 2003 (M. Lemaître et al., "Selecting and scheduling
     observations of agile satellites", Aerospace Science and Technology 6, 2002; roadef.org/challenge/2003)::
 
         gain(0) = 0    gain(0.4) = 0.1    gain(0.7) = 0.4    gain(1) = 1
