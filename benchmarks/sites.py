@@ -1,13 +1,13 @@
 """Head-room of Sites-v1: rules, a rule tuned by search, planners that know what is observed, and trained policies.
 
 Usage:
-    python benchmarks/sites.py [--preset Sites-v1] [--settings 256] [--episodes 256] [--planned 24] [--horizon 240]
+    python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
         [--futures 4 12] [--runs FOLDER ...] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
 share is this gain, divided by the difference between the entrant and random actions: part of the way from random actions to the
-entrant. ``--settings 0`` takes the numbers of the rule *commit* as they are in the package. ``--runs`` are folders of trainings;
-planners with 0 futures know the weather.
+entrant. ``--settings 0`` takes the tuned numbers of ``--out``, or those of the package. ``--runs`` are folders of trainings;
+planners with 0 futures know the weather. Entrants that are measured again replace their rows of ``--out``, others stay.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import harness
-import torch
 from tensordict.nn import TensorDictModuleBase
 
 import bsk_torch
@@ -32,9 +31,9 @@ from bsk_torch.tasks.sites.rules import CommitRule, commit
 FIRST = 7_500_000
 """First seed of the episodes in which entrants are compared."""
 
-RANDOM, TUNED = "random", "commit, tuned"
+TUNED = "commit, tuned"
 
-RULES = (RANDOM, "nearest", "greedy", "hasty", "farsighted", "commit")
+RULES = ("random", "nearest", "greedy", "hasty", "farsighted", "commit")
 
 RANGES = {
     "patience": (20.0, 300.0),
@@ -74,7 +73,7 @@ def play(policy: TensorDictModuleBase, env: Tasking) -> tuple[Evaluation, float]
     return found, time.process_time() - clock
 
 
-def row(entrant: str, found: Evaluation, cpu: float, tuned: Evaluation, chance: Evaluation, **more: Any) -> dict[str, Any]:
+def row(entrant: str, found: Evaluation, cpu: float, tuned: Evaluation, chance: Evaluation) -> dict[str, Any]:
     """Return the figures of an entrant; the interval of the share is that of its gain, on the same scale."""
     n = len(found.returns)
     gain = found.gain_over(tuned)
@@ -90,54 +89,49 @@ def row(entrant: str, found: Evaluation, cpu: float, tuned: Evaluation, chance: 
         "share_half": gain.half_width / way if way else 0.0,
         "cpu": cpu,
         "measures": {name: float(values.mean()) for name, values in found.measures.items()},
-        "returns": found.returns.tolist(),
-        **more,
     }
 
 
 def main() -> None:
     """Measure the entrants and print a table."""
-    parsed = harness.parser(__doc__, preset="Sites-v1", settings=256, episodes=256, planned=24, horizon=240.0, futures=[4, 12])
+    parsed = harness.parser(__doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12])
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
-    results: dict[str, Any] = {"ranges": RANGES, "seeds": [FIRST, FIRST + options.episodes]}
-    numbers: dict[str, float] = {}
+    before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
+    rows: dict[str, dict[str, Any]] = {one["entrant"]: one for one in before.get("rows", ())}
+    results: dict[str, Any] = {"ranges": RANGES, "seeds": [FIRST, FIRST + options.episodes], "tuning": before.get("tuning", {})}
     if options.settings:
-        tuning = bsk_torch.tune(
-            CommitRule.of(member_view(environment(options, 2))).decide, env, RANGES, settings=options.settings, fresh=256
-        )
-        numbers = tuning.thresholds
-        results["tuning"] = {"thresholds": numbers, "episodes": tuning.episodes, "core_seconds": tuning.core_seconds}
+        rule = CommitRule.of(member_view(env)).decide
+        tuning = bsk_torch.tune(rule, env, RANGES, settings=options.settings)
+        results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
         print(tuning, flush=True)
+    numbers = results["tuning"].get("thresholds", {})
 
     def tuned_rule(where: Tasking) -> TensorDictModuleBase:
         return shared(commit(member_view(where), **numbers), where)
 
-    found = {name: play(bsk_torch.rule(name, env), env) for name in RULES} | {TUNED: play(tuned_rule(env), env)}
-    chance, tuned = found[RANDOM][0], found[TUNED][0]
-    rows = [row(name, *each, tuned, chance) for name, each in found.items()]
+    chance, _ = play(bsk_torch.rule("random", env), env)
+    tuned, _ = play(tuned_rule(env), env)
 
-    def enter(name: str, policy: TensorDictModuleBase, where: Tasking, **more: Any) -> None:
-        rows.append(row(name, *play(policy, where), tuned, chance, **more))
-        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", rows[-1]), flush=True)
-        harness.write(options, described, rows=rows, **results)
+    def enter(name: str, policy: TensorDictModuleBase, where: Tasking) -> None:
+        measured = {"options": harness.given(options), "commit": described["commit"]}
+        rows[name] = row(name, *play(policy, where), tuned, chance) | measured
+        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", rows[name]), flush=True)
+        harness.write(options, described, rows=list(rows.values()), **results)
 
+    for name in RULES if options.settings else ():
+        enter(name, bsk_torch.rule(name, env), env)
+    enter(TUNED, tuned_rule(env), env)
     for folder in options.runs:
-        card = json.loads((folder / "evaluation.json").read_text()) if (folder / "evaluation.json").exists() else {}
         where = environment(options, options.episodes, as_set=True)
-        enter(f"policy {folder.name}", bsk_torch.load_policy(folder, where), where, training=card.get("seconds"))
-    if options.planned:
+        enter(f"policy {folder.name}", bsk_torch.load_policy(folder, where), where)
+    for futures in options.futures if options.planned else ():
         where = environment(options, options.planned)
-        for futures in options.futures:
-            planner = Rollout(
-                where, tuned_rule(where), horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None
-            )
-            enter(f"rollout, {futures} futures" if futures else "rollout that knows the weather", planner, where)
-    harness.write(options, described, rows=rows, **results)
-    print(harness.table(COLUMNS, rows))
+        planner = Rollout(where, tuned_rule(where), horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
+        enter(f"rollout, {futures} futures" if futures else "rollout that knows the weather", planner, where)
+    print(harness.table(COLUMNS, list(rows.values())))
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)
     main()

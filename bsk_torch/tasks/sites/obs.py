@@ -11,6 +11,7 @@ from torch import Tensor
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.tasks.sites.scene import BEGUN, NOT_BEGUN, Sites
+from bsk_torch.tasks.sites.worth import Commitment, worth
 
 BITS = 8
 """Numbers of the code of a site."""
@@ -85,6 +86,19 @@ def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tens
     return read
 
 
+def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    """Return what each image is worth to the rule *commit*, divided by that of the best, [N, n]; -1 for those out of reach."""
+    now, known = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
+    values = {f"site_{name}": value for name, value in known._asdict().items()} | {
+        "risk": known.risk,
+        "target_angle": satellite.aims(images, None)[..., 3],
+        "opportunity_open": images.open - now,
+        "opportunity_close": images.close - now,
+    }
+    found = worth(values.__getitem__, Commitment())
+    return (found / found.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
+
+
 def site_code(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     """Return the number of each image's site as a code, [N, n, 8] of -1 and 1, so that networks can compare sites.
 
@@ -106,6 +120,7 @@ SITE = (
     dict(fn=_prospect("chance"), prop="site_chance"),
     dict(fn=_prospect("step"), prop="site_step", norm=6.0),
     dict(fn=_prospect("finish"), prop="site_finish", norm=6.0),
+    dict(fn=commit_worth, prop="commit_worth"),
     dict(fn=site_code, prop="site_code"),
 )
 """Observed properties of each image, in addition to its place, turn and window."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 SITES: dict[str, dict[str, object]] = {
     "attention": dict(
-        frames=350_000,
+        frames=250_000,
         num_envs=128,
         rollout=32,
         hidden=(64,),
         learning_rate=1e-3,
         epochs=2,
-        minibatch=1024,
+        minibatch=512,
         gamma=0.996,
         entropy=0.003,
         imitate="commit",
-        imitation=0.18,
-        evaluate_every=70_000,
+        imitation=0.12,
+        evaluate_every=50_000,
         evaluate_episodes=128,
     )
 }

@@ -10,6 +10,7 @@ from bsk_torch.rand import Key, first_key
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.rules.targets import TargetReader
 from bsk_torch.tasks.sites import Sites
+from bsk_torch.tasks.sites.rules import CommitRule
 from bsk_torch.tasks.sites.scene import BEGUN
 from tests.support.refusals import check_refusals, refusal
 
@@ -70,8 +71,8 @@ def test_forecasts_are_probabilities():
 def test_gains():
     part = torch.tensor([0.0, 0.2, 0.4, 0.55, 0.7, 0.85, 1.0], dtype=torch.float64)
     convex = torch.tensor([0.0, 0.05, 0.1, 0.25, 0.4, 0.7, 1.0], dtype=torch.float64)
-    torch.testing.assert_close(Sites(1).gain(part), convex)
-    assert Sites(1, gain="complete").gain(part).tolist() == [0.0] * 6 + [1.0]
+    torch.testing.assert_close(Sites(1, gain="convex").gain(part), convex)
+    assert Sites(1).gain(part).tolist() == [0.0] * 6 + [1.0]
 
 
 def linked(gain, size, clear, satellites=1):
@@ -190,12 +191,14 @@ def test_observations_tell_what_is_known():
     torch.testing.assert_close(see["risk"], scenario.drawn("image_risk").gather(1, image).float())
     assert (see["site_left"][exists] >= 1.0).all()
     assert (see["site_done"] + see["site_left"] <= see["site_size"]).all()
-    assert (see["site_step"][exists] > 0.0).all()
     assert (see["site_finish"] >= see["site_step"] - 1e-5).all()
     ago = env.fleet.sim_time.unsqueeze(1) - scenario.memory[BEGUN].gather(1, site)
     begun = scenario.memory[BEGUN].gather(1, site) >= 0.0
     torch.testing.assert_close(see["site_ago"], torch.where(begun, ago, 0.0).float(), atol=1e-3, rtol=1e-5)
     assert not scenario.shot.gather(1, image)[exists].any()
+    rule = CommitRule.of(env)
+    best = TargetReader.of(env).read(td["observation"], "commit_worth").argmax(1)
+    assert torch.equal(rule.decide(td["observation"], td["action_mask"]), best)
     code = TargetReader.of(env).rows(td["observation"])[..., -8:]
     same = (site.unsqueeze(2) == site.unsqueeze(1)) & exists.unsqueeze(1) & exists.unsqueeze(2)
     match = (code.unsqueeze(2) * code.unsqueeze(1)).sum(-1)
@@ -232,7 +235,7 @@ def test_teams_know_all_images():
     for _ in range(25):
         td = env.step(rule(td))["next"]
         total += td["agents", "reward"].sum((1, 2))
-    assert td["agents", "observation"].shape == (2, 2, 781)
+    assert td["agents", "observation"].shape == (2, 2, 813)
     images = env.satellites[0].find_next_opportunities(32, "target")
     assert not env.scenario.shot.repeat_interleave(2, 0).gather(1, images.place)[images.mask].any()
     size, done = env.scenario.drawn("site_size"), env.scenario.done
