@@ -2,12 +2,13 @@
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
-        [--futures 4 12] [--runs FOLDER ...] [--out FILE.json]
+        [--futures 4 12] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
 share is this gain, divided by the difference between the entrant and random actions: part of the way from random actions to the
 entrant. ``--settings 0`` takes the tuned numbers of ``--out``, or those of the package. ``--runs`` are folders of trainings;
-planners with 0 futures know the weather. Entrants that are measured again replace their rows of ``--out``, others stay.
+planners with 0 futures know the weather. Entrants that are measured again replace their rows of ``--out``, others stay. Planners
+take long: several runs, with another ``--first`` each, can share their episodes, which ``--join`` collects.
 """
 
 from __future__ import annotations
@@ -15,23 +16,26 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import harness
+import torch
 from tensordict.nn import TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners import Rollout
 from bsk_torch.rl.evaluation import Evaluation, evaluate
+from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.policies.shared_policy import member_view, shared
 from bsk_torch.tasks.sites.rules import CommitRule, commit
 
 FIRST = 7_500_000
 """First seed of the episodes in which entrants are compared."""
 
-TUNED = "commit, tuned"
+TUNED, PLANNER = "commit, tuned", "rollout"
 
 RULES = ("random", "nearest", "greedy", "hasty", "farsighted", "commit")
 
@@ -66,41 +70,67 @@ def environment(options: argparse.Namespace, episodes: int, **more: Any) -> Task
     return env
 
 
-def play(policy: TensorDictModuleBase, env: Tasking) -> tuple[Evaluation, float]:
+def play(policy: TensorDictModuleBase, env: Tasking, first: int) -> tuple[Evaluation, float]:
     """Return the results of a policy in the fresh episodes, and the CPU time, s."""
     clock = time.process_time()
-    found = evaluate(policy, env, seeds=range(FIRST, FIRST + env.num_envs))
+    found = evaluate(policy, env, seeds=range(first, first + env.num_envs))
     return found, time.process_time() - clock
 
 
-def row(entrant: str, found: Evaluation, cpu: float, tuned: Evaluation, chance: Evaluation) -> dict[str, Any]:
-    """Return the figures of an entrant; the interval of the share is that of its gain, on the same scale."""
+def row(found: Evaluation, cpu: float, tuned: Evaluation, chance: Evaluation) -> dict[str, Any]:
+    """Return the returns of an entrant, and its gains over the tuned rule and over random actions in the same episodes."""
     n = len(found.returns)
-    gain = found.gain_over(tuned)
-    way = float((found.returns - chance.returns[:n]).mean())
+    others = {"gains": tuned, "over_random": chance}
+    return {
+        "returns": found.returns.tolist(),
+        **{name: (found.returns - other.returns[:n]).tolist() for name, other in others.items()},
+        "measures": {name: float(values.mean()) for name, values in found.measures.items()},
+        "cpu": cpu,
+    }
+
+
+def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the row of an entrant that has flown different episodes in several runs."""
+    lists = {name: [x for part in parts for x in part[name]] for name in ("returns", "gains", "over_random")}
+    return {**parts[0], **lists, "cpu": sum(part["cpu"] for part in parts)}
+
+
+def figures(entrant: str, one: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of an entrant's row; the interval of the share is that of its gain, on the same scale."""
+    mean, gain = (confidence(torch.tensor(one[name], dtype=torch.float64)) for name in ("returns", "gains"))
+    way = sum(one["over_random"]) / len(one["over_random"]) or 1.0
     return {
         "entrant": entrant,
-        "episodes": n,
-        "return": found.mean_return.mean,
-        "half": found.mean_return.half_width,
+        "episodes": len(one["returns"]),
+        "return": mean.mean,
+        "half": mean.half_width,
         "gain": gain.mean,
         "gain_half": gain.half_width,
-        "share": gain.mean / way if way else 0.0,
-        "share_half": gain.half_width / way if way else 0.0,
-        "cpu": cpu,
-        "measures": {name: float(values.mean()) for name, values in found.measures.items()},
+        "share": gain.mean / way,
+        "share_half": gain.half_width / way,
+        "cpu": one["cpu"],
+        "measures": one["measures"],
     }
 
 
 def main() -> None:
     """Measure the entrants and print a table."""
-    parsed = harness.parser(__doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12])
+    parsed = harness.parser(
+        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], first=FIRST
+    )
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
+    parsed.add_argument(
+        "--join", nargs="*", type=Path, default=[], metavar="FILE", help="files whose planners flew other episodes"
+    )
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
     before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
-    rows: dict[str, dict[str, Any]] = {one["entrant"]: one for one in before.get("rows", ())}
-    results: dict[str, Any] = {"ranges": RANGES, "seeds": [FIRST, FIRST + options.episodes], "tuning": before.get("tuning", {})}
+    rows: dict[str, dict[str, Any]] = before.get("rows", {})
+    results: dict[str, Any] = {
+        "ranges": RANGES,
+        "seeds": [options.first, options.first + options.episodes],
+        "tuning": before.get("tuning", {}),
+    }
     if options.settings:
         rule = CommitRule.of(member_view(env)).decide
         tuning = bsk_torch.tune(rule, env, RANGES, settings=options.settings)
@@ -111,14 +141,18 @@ def main() -> None:
     def tuned_rule(where: Tasking) -> TensorDictModuleBase:
         return shared(commit(member_view(where), **numbers), where)
 
-    chance, _ = play(bsk_torch.rule("random", env), env)
-    tuned, _ = play(tuned_rule(env), env)
+    chance, _ = play(bsk_torch.rule("random", env), env, options.first)
+    tuned, _ = play(tuned_rule(env), env, options.first)
 
     def enter(name: str, policy: TensorDictModuleBase, where: Tasking) -> None:
-        measured = {"options": harness.given(options), "commit": described["commit"]}
-        rows[name] = row(name, *play(policy, where), tuned, chance) | measured
-        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", rows[name]), flush=True)
-        harness.write(options, described, rows=list(rows.values()), **results)
+        rows[name] = row(*play(policy, where, options.first), tuned, chance)
+        one = figures(name, rows[name])
+        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", one), flush=True)
+        write()
+
+    def write() -> None:
+        table = [figures(name, one) for name, one in rows.items()]
+        harness.write(options, described, table=table, rows=rows, **results)
 
     for name in RULES if options.settings else ():
         enter(name, bsk_torch.rule(name, env), env)
@@ -129,8 +163,13 @@ def main() -> None:
     for futures in options.futures if options.planned else ():
         where = environment(options, options.planned)
         planner = Rollout(where, tuned_rule(where), horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
-        enter(f"rollout, {futures} futures" if futures else "rollout that knows the weather", planner, where)
-    print(harness.table(COLUMNS, list(rows.values())))
+        enter(f"{PLANNER}, {futures} futures" if futures else f"{PLANNER} that knows the weather", planner, where)
+    for path in options.join:
+        for name, one in json.loads(path.read_text())["rows"].items():
+            if name.startswith(PLANNER):
+                rows[name] = joined([rows[name], one]) if name in rows else one
+    write()
+    print(harness.table(COLUMNS, [figures(name, one) for name, one in rows.items()]))
 
 
 if __name__ == "__main__":
