@@ -9,6 +9,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, first_key
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.rules.targets import TargetReader
+from bsk_torch.rl.training import configure
 from bsk_torch.tasks.sites import Sites
 from bsk_torch.tasks.sites.rules import CommitRule
 from bsk_torch.tasks.sites.scene import BEGUN
@@ -241,6 +242,13 @@ def test_teams_know_all_images():
     size, done = env.scenario.drawn("site_size"), env.scenario.done
     value = env.scenario.drawn("target_priority")[:, ::6]
     torch.testing.assert_close(total, (value * size * env.scenario.gain(done / size)).sum(1).float())
+
+
+def test_trainings_without_options_use_the_recipe():
+    one, team = configure("Sites-v1"), configure("SitesTeam-v1")
+    assert (one.network, one.imitate, one.options) == ("attention", "commit", {"as_set": True})
+    assert (team.network, team.imitate, team.algorithm) == ("attention", "commit", "mappo")
+    assert configure("AEOS-v1").network == "mlp"
 
 
 def test_refusals():
