@@ -109,6 +109,18 @@ LISTED: dict[str, Listed] = {
         "two optical satellites and a radar, to which clouds and night do not matter",
         (*IMAGING, "cooperative"),
     ),
+    "Sites-v1": Listed(
+        "bsk_torch.tasks.sites.preset:sites",
+        ONE,
+        "take mosaics of 3 to 6 images that pay when complete, under weather with a forecast",
+        ("commit", *IMAGING),
+    ),
+    "SitesTeam-v1": Listed(
+        "bsk_torch.tasks.sites.preset:sites_team",
+        MANY,
+        "the same with two imagers, one behind the other, whose images count together",
+        ("commit", *IMAGING),
+    ),
     "RSOInspection-v1": Listed(
         "bsk_torch.tasks.inspection.preset:rso_inspection",
         SOLO,

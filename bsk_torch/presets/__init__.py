@@ -14,6 +14,8 @@ name                       module                      task
 ``Constellation-v1``       ``presets.constellation``   12 imagers that communicate along lines of sight
 ``RelayConstellation-v1``  ``presets.constellation``   four low imagers, two high relays; broadcasting is an action
 ``HeteroCluster-v1``       ``presets.hetero_cluster``  two optical satellites and a radar, to which clouds do not matter
+``Sites-v1``               ``tasks.sites``             take mosaics of images that pay when complete, under weather
+``SitesTeam-v1``           ``tasks.sites``             the same with two imagers, one behind the other
 ``RSOInspection-v1``       ``tasks.inspection``        fly around a spacecraft until its surface is inspected
 ``MultiInspection-v1``     ``tasks.inspection``        the same with three inspectors that must not collide
 ``Services-v1``            ``tasks.objects``           image satellites and debris again and again; the ground verifies the images

@@ -70,6 +70,8 @@ RULES = {
     "HeteroCluster-v1": "cooperative",
     "NadirScience-v1": "science",
     "Services-v1": "angle",
+    "Sites-v1": "commit",
+    "SitesTeam-v1": "commit",
     "ThreeSensors-v1": "local",
     "Walker4-v1": "local",
     "CWDocking-v1": "glide",

@@ -32,7 +32,8 @@ def imported(name):
     return module
 
 
-clouds, suite, headroom, distillation, adversary = map(imported, ("clouds", "suite", "headroom", "distillation", "adversary"))
+NAMES = ("clouds", "suite", "headroom", "distillation", "adversary", "sites")
+clouds, suite, headroom, distillation, adversary, sites = map(imported, NAMES)
 
 
 def test_clouds_change_every_half_hour_and_forecasts_are_about_right(clouds):
@@ -135,6 +136,15 @@ def test_shares_of_head_room_are_paired(headroom):
     assert worse["share"] < 0.0
     assert not worse["admitted"]
     assert headroom.merged(None, [found]) == [found]
+
+
+def test_planners_of_several_runs_are_joined(sites):
+    parts = [
+        {"returns": [4.0, 6.0], "gains": [1.0, 2.0], "over_random": [4.0, 6.0], "measures": {}, "cpu": 2.0},
+        {"returns": [5.0], "gains": [3.0], "over_random": [5.0], "measures": {}, "cpu": 1.0},
+    ]
+    found = sites.figures("rollout", sites.joined(parts))
+    assert (found["episodes"], found["return"], found["gain"], found["share"], found["cpu"]) == (3, 5.0, 2.0, 0.4, 3.0)
 
 
 def test_the_interval_of_a_share_shrinks_with_what_the_gains_have_in_common(distillation):

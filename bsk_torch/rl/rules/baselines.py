@@ -193,6 +193,7 @@ BASELINES: Entries[Callable[[SatelliteTasking, int], TensorDictModuleBase]] = En
         **{name: f"bsk_torch.tasks.safe_autonomy.rules:{name}_rule" for name in ("glide", "seek")},
         **{name: f"bsk_torch.tasks.objects.rules:{name}" for name in SERVICING},
         "areas": "bsk_torch.tasks.areas.rules:area_rule",
+        "commit": "bsk_torch.tasks.sites.rules:commit",
         "soonest_task": "bsk_torch.tasks.aeos_bench.rules:soonest_rule",
     }
 )

@@ -75,6 +75,8 @@ RECIPES: Entries[dict[str, dict[str, Any]]] = Entries(
         "ThreeSensors-v1": "bsk_torch.tasks.objects.recipe:TEAM",
         "Walker4-v1": "bsk_torch.tasks.objects.recipe:TEAM",
         "AEOSBench-v1": "bsk_torch.tasks.aeos_bench.recipe:TEAM",
+        "Sites-v1": "bsk_torch.tasks.sites.recipe:SITES",
+        "SitesTeam-v1": "bsk_torch.tasks.sites.recipe:TEAM",
         "RSOInspection-v1": "bsk_torch.tasks.inspection.recipe:INSPECTOR",
         "MultiInspection-v1": "bsk_torch.tasks.inspection.recipe:CREW",
         "CWDocking-v1": "bsk_torch.tasks.safe_autonomy.recipe:DOCKING",
@@ -82,6 +84,9 @@ RECIPES: Entries[dict[str, dict[str, Any]]] = Entries(
     }
 )
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
+
+USUAL = {"Sites-v1": "attention"}
+"""Networks of trainings that name none, where that is another one than for other environments."""
 
 
 def recipe_of(preset: str, network: str, options: dict[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -1,0 +1,113 @@
+"""Sites-v1 and SitesTeam-v1: mosaics of 3 to 6 images that pay when they are complete, under weather with a forecast.
+
+The agile satellite of :mod:`bsk_torch.presets.aeos`, which time limits, not power or storage, flies half an orbit at 5 degrees
+inclination over 300 sites within 9 degrees of the equator. Several sites are in view at once, with more images than can be taken,
+so that it matters which sites to begin, which to leave, and in which order to take the images of neighboring ones.
+
+In SitesTeam-v1, two satellites fly one behind the other, 4 degrees apart, over the same sites. Images of both count together, and
+each knows at once what the other has taken.
+
+Observation, 12 + 32 * 25 + 1 = 813 numbers: satellite and time as in AEOS-v1, and of each of the next 32 images, in order of
+closing time:
+
+============================  ==================================================================================
+``priority``                  value of its site
+``r_LB_H_normd`` (3)          as in AEOS-v1, as are ``target_angle_normd``, ``target_angle_rate_normd``,
+                              ``opportunity_open_normd`` and ``opportunity_close_normd``
+``site_size_normd``           number of images of its site, divided by 6, as are the next two
+``site_done_normd``           clear images taken
+``site_left_normd``           images that can still be taken in this pass, including this one
+``site_ago_normd``            time since the first image of the site, divided by 300 s; 0 before
+``risk``                      forecast: the probability that the image is not clear
+``site_chance``               probability that all images that are left are clear
+``site_step_normd``           what the image pays if it is clear and the next one of its site, divided by 6
+``site_finish_normd``         what all images that are left pay if they are clear, divided by 6
+``commit_worth``              what it is worth to the rule *commit*, divided by that of the best; -1 out of reach
+``site_code`` (8)             a code of the number of the site, of -1 and 1
+============================  ==================================================================================
+
+With ``as_set=True``, they are ``rows`` [N, 32, 25] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
+been taken are clear.
+
+Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
+
+Reward: value times size of the site for the image that completes it; with ``scenario=Sites(300, gain="convex")``, what each clear
+image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. Images of a site can be chosen for 300 s after its first one.
+
+Termination: at the time limit of 2,850 s.
+
+Random at reset: orbit; places, sizes, values and directions of sites; risks and weather.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import torch
+
+from bsk_torch import formations, obs, rand
+from bsk_torch.env import ConstellationTasking, SatelliteTasking
+from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, AgileSatellite, agile_args, agile_environment, targets_ahead
+from bsk_torch.tasks.sites.obs import SITE
+from bsk_torch.tasks.sites.reward import CompletionReward
+from bsk_torch.tasks.sites.scene import Sites
+
+INCLINATION = 5.0
+"""Inclination of the orbits, degrees."""
+
+APART = 4.0
+"""Angle at the Earth's center between two satellites of a team, degrees."""
+
+SITES = 300
+"""Number of sites."""
+
+
+class SitesSatellite(AgileSatellite):
+    """Observes the next 32 images and takes one of them."""
+
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE), obs.Time())
+
+
+class SitesSetSatellite(SitesSatellite):
+    """The same, with images as a set, for permutation-invariant policies."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, as_set=True), obs.Time())
+
+
+def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> SatelliteTasking:
+    """Return Sites-v1; see the module.
+
+    Args:
+        as_set: Whether images are observed as ``rows`` [N, 32, features] with a ``mask`` instead of in one vector.
+        n_sites: Number of sites.
+        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
+            ``sat_args`` of the satellite.
+    """
+    arguments = agile_args() | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
+    return agile_environment((SitesSatellite, SitesSetSatellite), arguments, as_set, _parts(n_sites) | options)
+
+
+def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SITES, **options: Any) -> ConstellationTasking:
+    """Return SitesTeam-v1; see the module, and :func:`sites`.
+
+    Args:
+        n_satellites: Number of satellites, one behind the other.
+        as_set: See :func:`sites`.
+        n_sites: See :func:`sites`.
+        **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset, and ``obs_type`` and
+            ``sat_args`` of the satellites.
+    """
+    kind = SitesSetSatellite if as_set else SitesSatellite
+    arguments = {name: value for name, value in agile_args().items() if name != "oe"} | options.pop("sat_args", {})
+    obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
+    satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
+    train = formations.train_args(APART, altitude=ALTITUDE / 1e3, inc=INCLINATION)
+    parts = dict(
+        sat_arg_randomizer=train, sim_rate=0.5, max_step_duration=SOON, failure_penalty=0.0, terminate_on_time_limit=True
+    )
+    return ConstellationTasking(satellites, **(_parts(n_sites) | parts | options))
+
+
+def _parts(n_sites: int) -> dict[str, Any]:
+    return dict(scenario=Sites(n_sites), rewarder=CompletionReward(), time_limit=ORBIT / 2)
