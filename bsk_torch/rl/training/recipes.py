@@ -85,9 +85,6 @@ RECIPES: Entries[dict[str, dict[str, Any]]] = Entries(
 )
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
 
-USUAL = {"Sites-v1": "attention"}
-"""Networks of trainings that name none, where that is another one than for other environments."""
-
 
 def recipe_of(preset: str, network: str, options: dict[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the settings of a recipe, none where there is none, and its options of the environment with changed ``options``."""
