@@ -106,10 +106,11 @@ def main() -> None:
     torch.set_num_threads(1)
     for preset in parser.parse_args().presets.split(","):
         entry = measured(preset) | {"bsk_torch": bsk_torch.__version__, "date": datetime.now(timezone.utc).date().isoformat()}
-        table = {"command": "python scripts/tools/measure_presets.py", "first_seed": FIRST}
+        scores.cache_clear()
         entries = scores() | {preset: entry}
-        table["presets"] = {name: entries[name] for name in LISTED if name in entries}
-        write_file(SCORES, json.dumps(table, indent=1) + "\n")
+        rows = ",\n".join(f'  "{name}": {json.dumps(entries[name])}' for name in LISTED if name in entries)
+        head = f'"command": "python scripts/tools/measure_presets.py", "first_seed": {FIRST}'
+        write_file(SCORES, f'{{{head},\n "presets": {{\n{rows}\n }}\n}}\n')
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from bsk_torch.rl.training import verdict as module
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.verdict import FEWEST, MOST, compared_episodes, verdict
 
-UNMEASURED = {"Constellation-v1", "HeteroCluster-v1", "MultiInspection-v1", "Services-v1", "ThreeSensors-v1", "Walker4-v1"}
+UNMEASURED = {"Constellation-v1", "MultiInspection-v1", "Services-v1", "ThreeSensors-v1", "Walker4-v1"}
 UNMEASURED |= {"AEOSBench-v1"}
 """Presets whose rules take core-minutes, to be measured on a quiet machine."""
 
