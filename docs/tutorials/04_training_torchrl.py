@@ -135,7 +135,7 @@ optimiser = torch.optim.Adam(loss.parameters(), lr=2.5e-3, eps=1e-5)
 
 # %%
 # The loop collects data, estimates advantages, and makes eight passes over the batch. The learning rate decreases linearly. The
-# normalizer is updated after the gradient steps, in place, so that the loss sees it (see :doc:`/how_to/durations`).
+# normalizer is updated after the gradient steps, in place, so that the loss sees it (see :doc:`/how_to/other_learners`).
 returns, running = [], torch.zeros(NUM_ENVS)
 ended = []
 for k, batch in enumerate(collector):

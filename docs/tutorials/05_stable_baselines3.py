@@ -88,7 +88,7 @@ panel.grid(axis="y", alpha=0.3)
 # ---------
 # Stable-Baselines3 discounts per decision: a step of one minute is discounted as much as one of three minutes. The callback
 # ``DiscountPerSecond`` replaces advantages and value targets by those with a discount of 0.99999 per second (see
-# :doc:`/how_to/durations`).
+# :doc:`/how_to/other_learners`).
 #
 # Evaluate
 # --------

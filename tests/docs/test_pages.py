@@ -97,7 +97,9 @@ def test_damage_is_found(tmp_path):
 def test_pages_that_messages_and_docstrings_name_exist():
     files = [path for folder in ("bsk_torch", "scripts", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
     named = {(page, path.name) for path in files for page in re.findall(r"\bdocs/[\w/.]+?\.md\b", path.read_text())}
-    assert len(named) > 5
+    programs = [*(DOCS / "tutorials").glob("*.py"), *(ROOT / "examples").rglob("*.py")]
+    named |= {(f"docs/{page}.md", path.name) for path in programs for page in re.findall(r":doc:`/([\w/]+)`", path.read_text())}
+    assert len(named) > 10
     assert not {(page, file) for page, file in named if not (ROOT / page).exists()}
 
 
