@@ -147,5 +147,5 @@ class Commanded:
         return command
 
     def Reset(self, nanoseconds: int = 0) -> None:
-        """Let the module begin anew."""
+        """Let the module begin again."""
         self._within("Reset").fields.update(RESETS.get(self._name, {}))

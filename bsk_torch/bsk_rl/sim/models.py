@@ -28,7 +28,7 @@ CORE = ("bsk_torch.sim.", "bsk_torch.tasks.")
 """Modules of the core's models."""
 
 HOOKS = ("is_alive", "reset_overwrite_previous", "reset_pre_sim_init", "reset_during_sim_init", "reset_post_sim_init")
-"""Hooks of dynamics and flight software; as in bsk_rl, nobody calls the second and the third of models."""
+"""Hooks of dynamics and flight software; as in bsk_rl, no one calls the second and the third of models."""
 
 REQUIREMENTS = {"_requires_world": "requires_world", "_requires_dyn": "requires_dyn"}
 """Class methods that list required models, and the tables of the core."""
@@ -122,7 +122,7 @@ def counterpart(core: Any) -> Any:
 
 
 def for_one_episode(model: type) -> Any:
-    """Return the counterpart of a model of the core, and other classes as they are."""
+    """Return the counterpart of a model of the core, and other classes unchanged."""
     of_core = model.__module__.startswith(CORE) and not hasattr(model, "of_one_episode")
     return counterpart(model) if of_core else model
 

@@ -108,7 +108,7 @@ class Spacecraft(Part):
 
 
 def _message(kind: str) -> Any:
-    """Return an empty message of Basilisk's, for modules of its own that subscribe to it; None where Basilisk is not loaded."""
+    """Return an empty message of Basilisk's, for its modules that subscribe to it; None where Basilisk is not loaded."""
     messaging = sys.modules.get("Basilisk.architecture.messaging")
     return None if messaging is None else getattr(messaging, kind)()
 
