@@ -1,6 +1,7 @@
 """Models, worlds and commands that programs of bsk_rl define, and what they read of Basilisk's objects."""
 
 import importlib
+import logging
 import sys
 from types import SimpleNamespace
 
@@ -46,9 +47,7 @@ def flying(dyn_type=dyn.BasicDynamicsModel, fsw_type=Software, args=None, action
     ]
     body = dict(observation_spec=[obs.SatProperties(dict(prop="sigma_BN"), dict(prop="battery_charge"))], action_spec=actions)
     kind = type("Sat", (sats.Satellite,), {**body, "dyn_type": dyn_type, "fsw_type": fsw_type})
-    env = SatelliteTasking(
-        kind("S", {**CHARGED, **(args or {})}), time_limit=600.0, backend="eager", log_level="ERROR", **options
-    )
+    env = SatelliteTasking(kind("S", {**CHARGED, **(args or {})}), time_limit=600.0, backend="eager", **options)
     env.reset(seed=1)
     return env
 
@@ -187,7 +186,7 @@ def test_wheels_that_a_program_makes_are_read():
 
     kind = type("Sat", (sats.Satellite,), dict(observation_spec=[obs.Time()], action_spec=[act.Charge(duration=10.0)]))
     kind.dyn_type, kind.fsw_type = Wheeled, fsw.BasicFSWModel
-    made = SatelliteTasking(kind("S", dict(storedCharge_Init=2e5)), time_limit=60.0, backend="eager", log_level="ERROR")
+    made = SatelliteTasking(kind("S", dict(storedCharge_Init=2e5)), time_limit=60.0, backend="eager")
     made.reset(seed=1)
     assert made.satellite.dynamics.wheel_speeds == pytest.approx([10.0, 10.0, 10.0])
     assert "wheelSpeeds" not in made.satellite.sat_args
@@ -266,4 +265,5 @@ def test_modules_of_basilisk_are_answered():
 
 def test_what_costs_much_is_said_at_every_log_level():
     with pytest.warns(UserWarning, match="bsk-torch view"):
-        flying(vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0})
+        flying(vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, log_level="ERROR")
+    logging.getLogger("bsk_torch.bsk_rl").setLevel(logging.WARNING)  # which other tests read

@@ -125,7 +125,7 @@ class Commanded:
         return self.__dict__["_read"](name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        command, module = self._within(f"{self._name}.{name}"), self._name
+        command, module = self._within(name), self._name
         if (module, name) in SWITCHES:
             command.switch(SWITCHES[module, name], bool(value))
         elif (module, name) == ("insControl", "imaged"):
@@ -137,15 +137,15 @@ class Commanded:
                 f"{module}.{name} of Basilisk's cannot be set by a command: give it in sat_args, or {COMPONENT}"
             )
 
-    def _within(self, what: str) -> Command:
+    def _within(self, name: str) -> Command:
         command = self._command()
         if command is None:
             raise AttributeError(
-                f"{what} of Basilisk's cannot be set: give it in sat_args; methods of flight software marked by @action switch "
-                f"tasks and devices. Otherwise, {COMPONENT}"
+                f"{name!r} of Basilisk's {self._name} cannot be set: give it in sat_args; methods of flight "
+                f"software marked by @action switch tasks and devices. Otherwise, {COMPONENT}"
             )
         return command
 
     def Reset(self, nanoseconds: int = 0) -> None:
-        """Let the module begin anew."""
-        self._within(f"{self._name}.Reset").fields.update(RESETS.get(self._name, {}))
+        """Let the module begin again."""
+        self._within("Reset").fields.update(RESETS.get(self._name, {}))

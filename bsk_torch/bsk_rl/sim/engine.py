@@ -129,7 +129,7 @@ class Engine:
         """
         self._values = [_own_values(satellite) for satellite in satellites]
         self.world, self._limit = world_args | changed_arguments(world_type, world_args), float(time_limit)
-        world_type = core_world(world_type)
+        world_type = core_world(world_type)  # type: ignore[arg-type]  # mypy: a class is not Hashable
         types = [described_type(s.dyn_type, s.fsw_type, s.holds_attitudes) for s in satellites]
         orbit = self.orbit or _needed_orbit(self._values, self.world)
         key = self._structure(satellites, types, world_type, sim_rate, orbit)

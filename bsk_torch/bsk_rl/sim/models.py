@@ -21,14 +21,14 @@ from bsk_torch.sim.readout.hooks import check_model
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-ROOTS = (dyn.DynamicsModel, fsw.FSWModel, world.WorldModel)
+ROOTS: tuple[Any, ...] = (dyn.DynamicsModel, fsw.FSWModel, world.WorldModel)
 """Models from which all others of the core are derived."""
 
 CORE = ("bsk_torch.sim.", "bsk_torch.tasks.")
 """Modules of the core's models."""
 
 HOOKS = ("is_alive", "reset_overwrite_previous", "reset_pre_sim_init", "reset_during_sim_init", "reset_post_sim_init")
-"""Hooks of dynamics and flight software; as in bsk_rl, nobody calls the second and the third of models."""
+"""Hooks of dynamics and flight software; as in bsk_rl, no one calls the second and the third of models."""
 
 REQUIREMENTS = {"_requires_world": "requires_world", "_requires_dyn": "requires_dyn"}
 """Class methods that list required models, and the tables of the core."""
@@ -81,7 +81,7 @@ TASK_FLAGS = {
 }
 """Tasks of the package by Basilisk's names, and the flags of the mode table that they are; the error is always tracked."""
 
-NESTED = {
+NESTED: dict[type, dict[str, str]] = {
     fsw.FSWModel: {
         "MRPControlTask": "mrpControlTask",
         "NadirPointTask": "nadirPointTask",
@@ -104,7 +104,7 @@ def action(function: Function) -> Function:
 
 
 @functools.cache
-def counterpart(core: type) -> Any:
+def counterpart(core: Any) -> Any:
     """Return the model for one episode that a model of the core stands for."""
     parents = [counterpart(base) for base in core.__bases__ if issubclass(base, ROOTS)]
     made = type(core.__name__, (*parents, core), {"__doc__": core.__doc__})
@@ -122,13 +122,13 @@ def counterpart(core: type) -> Any:
 
 
 def for_one_episode(model: type) -> Any:
-    """Return the counterpart of a model of the core, and other classes as they are."""
+    """Return the counterpart of a model of the core, and other classes unchanged."""
     of_core = model.__module__.startswith(CORE) and not hasattr(model, "of_one_episode")
     return counterpart(model) if of_core else model
 
 
 @functools.cache
-def core_world(world_type: type) -> Any:
+def core_world(world_type: Any) -> Any:
     """Return a world model as the core takes it: with the core's table of arguments."""
     table = vars(world.WorldModel)["default_world_args"]
     return type(world_type.__name__, (world_type,), {"default_world_args": table, "__module__": __name__})

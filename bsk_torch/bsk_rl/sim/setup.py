@@ -108,7 +108,7 @@ class Spacecraft(Part):
 
 
 def _message(kind: str) -> Any:
-    """Return an empty message of Basilisk's, for modules of its own that subscribe to it; None where Basilisk is not loaded."""
+    """Return an empty message of Basilisk's, for its modules that subscribe to it; None where Basilisk is not loaded."""
     messaging = sys.modules.get("Basilisk.architecture.messaging")
     return None if messaging is None else getattr(messaging, kind)()
 
@@ -129,14 +129,17 @@ def _wheels(factory: Any, args: Mapping[str, Any]) -> dict[str, Any]:
     listed, to_rpm = list(factory.rwList.values()), 30.0 / math.pi
     if any(int(wheel.RWModel) != 0 for wheel in listed):
         raise NotSimulatedError("wheels with imbalance or jitter (RWModel) are not simulated; make them balanced")
+    numbers: list[dict[str, Any]] = [
+        {name: float(getattr(wheel, name)) for name in ("Js", "u_max", "u_min", *FRICTION)} for wheel in listed
+    ]
     described = [
         Wheel(
             "custom",
             _array(wheel.gsHat_B).ravel().tolist(),
             Omega_max=max(float(wheel.Omega_max) * to_rpm, 1.0),  # rwOmegaMax replaces it
-            **{name: float(getattr(wheel, name)) for name in ("Js", "u_max", "u_min", *FRICTION)},
+            **given,
         )
-        for wheel in listed
+        for wheel, given in zip(listed, numbers, strict=True)
     ]
     each = {name: [args[name]] * len(listed) for name in EACH if isinstance(args.get(name), int | float)}
     return {
@@ -303,4 +306,10 @@ def changed_arguments(model: type, args: Mapping[str, Any], satellite: Any = Non
         made = Setup(task, args, satellite, fsw=whole)
         made._set_up_all(args)
         changed |= made._finish(args)
+    if "inertia" in changed and satellite is not None:
+        satellite.logger.warning(
+            "%s sets the inertia of the hub: the flight software knows it here; in bsk_rl, it takes that of the box for true, so "
+            "that attitudes differ slightly",
+            model.__name__,
+        )
     return changed

@@ -135,7 +135,7 @@ class ModelView:
             # set by __init__ of the user's class, for each satellite and episode in bsk_rl
             value = self.__dict__[name] = deepcopy(vars(whole)[name])
             return value
-        defined = _defined(type(whole), name)
+        defined = _defined(type(whole), name)  # type: ignore[arg-type]  # mypy: as above
         if defined is None:
             raise AttributeError(self._advice(name))
         return self._member(name, *defined)
@@ -429,7 +429,7 @@ class FlightSoftwareView(SatelliteModelView):
         self.__dict__["_commanding"] = None
 
     def __getattr__(self, name: str) -> Any:
-        defined = _defined(type(self._whole), name)
+        defined = _defined(type(self._whole), name)  # type: ignore[arg-type]  # mypy: as above
         if defined is not None and is_command(defined[0]):
             return partial(self._run_command, defined[0])
         if name.startswith("action_") and (defined is None or defined[1].__module__.startswith(PACKAGE)):
@@ -464,7 +464,7 @@ class FlightSoftwareView(SatelliteModelView):
             self.rso_capture.forget()
         core.command(self._rows, torch.full_like(core.state.ticks, core.mode_names.index(mode)))
         for name, value in command.fields.items():
-            self._write(name, np.broadcast_to(np.asarray(value, dtype=float), self.field(name).shape))
+            self._write(name, np.full(self.field(name).shape, value, dtype=float))
         return result
 
     def _names(self) -> list[str]:
@@ -651,7 +651,7 @@ class WorldView(ModelView):
         return messages.eclipses(self)
 
     @property
-    def gravFactory(self) -> object:
+    def gravFactory(self) -> SimpleNamespace:
         """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
         return messages.gravity_factory(self)
 

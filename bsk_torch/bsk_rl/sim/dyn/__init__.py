@@ -19,7 +19,7 @@ from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel
 from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
 
 
-class RSOTargetDynModel(counterpart(BasicDynamicsModel)):
+class RSOTargetDynModel(counterpart(BasicDynamicsModel)):  # type: ignore[misc]  # mypy: known when it runs
     """A satellite that others image; see :class:`bsk_torch.bsk_rl.scene.RSOTargets`. It flies with ``fsw.FSWModel``."""
 
 
