@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 TICKS, NUMBER, TRUTH = torch.int64, torch.float64, torch.bool
 
 NUMBERS = ("h_ns", "longest", "h", "penalty", "limit_ends", "modes", "actions")
-"""Numbers that kernels read from one tensor, so that other values need no other kernel: length of a tick in ns and in s and of the
+"""Numbers that kernels read from one tensor, so that other values need no other kernel: length of a tick in ns and s and of the
 longest step in ticks, penalty of failures, whether the time limit terminates, number of modes and of actions."""
 
 
