@@ -4,7 +4,7 @@ What surrounds a run is a hundred operations on N numbers: which modes actions e
 earned. :class:`NativePhases` traces the functions of these phases themselves (``decide`` and ``command``, the ticks to run,
 ``settle``, ``died``, the judgment) into three loops over the rows (:mod:`bsk_torch.codegen.rows`), so each rule is written once,
 and the numbers are torch's bit for bit. Environments whose phases call users' code, or have events, keep the phases on tensors;
-:func:`reason_for_tensors` says why, and ``bsk-torch schedule`` prints it.
+:func:`reason_for_tensors` names the reason, and ``bsk-torch schedule`` prints it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def reason_for_tensors(env: Tasking) -> str | None:
         "events that end actions": simulator.has_events or simulator.tick.stops,
         "maneuvers": simulator.has_tank,
         "satellites that are traced or followed": fleet.traced or fleet.varies or bool(simulator.tick.supplied),
-        "aliveness checks of one's own": bool(own_checks)
+        "custom aliveness checks": bool(own_checks)
         or any(getattr(type(satellite), name) is not getattr(BoundSatellite, name) for name in ("is_alive", "aliveness"))
         or any(type(model).aliveness is not Model.aliveness for model in models),
         "a rewarder that ends episodes": env.checked.terminates or env.checked.truncates,
