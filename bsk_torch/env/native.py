@@ -4,7 +4,7 @@ What surrounds a run is a hundred operations on N numbers: which modes actions e
 earned. :class:`NativePhases` traces the functions of these phases themselves (``decide`` and ``command``, the ticks to run,
 ``settle``, ``died``, the judgment) into three loops over the rows (:mod:`bsk_torch.codegen.rows`), so each rule is written once,
 and the numbers are torch's bit for bit. Environments whose phases call users' code, or have events, keep the phases on tensors;
-:func:`reason_for_tensors` says why, and ``bsk-torch schedule`` prints it.
+:func:`reason_for_tensors` names the reason, and ``bsk-torch schedule`` prints it.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 TICKS, NUMBER, TRUTH = torch.int64, torch.float64, torch.bool
 
-NUMBERS = ("h_ns", "longest", "h", "penalty", "modes", "actions")
-"""Numbers that kernels read from one tensor: ticks in ns and in s, longest step in ticks, penalty, and how many there are."""
+NUMBERS = ("h_ns", "longest", "h", "penalty", "limit_ends", "modes", "actions")
+"""Numbers that kernels read from one tensor, so that other values need no other kernel: length of a tick in ns and s and of the
+longest step in ticks, penalty of failures, whether the time limit terminates, number of modes and of actions."""
 
 
 def _number(trace: RowTrace, name: str) -> Any:
@@ -58,7 +59,7 @@ def reason_for_tensors(env: Tasking) -> str | None:
         "events that end actions": simulator.has_events or simulator.tick.stops,
         "maneuvers": simulator.has_tank,
         "satellites that are traced or followed": fleet.traced or fleet.varies or bool(simulator.tick.supplied),
-        "aliveness checks of one's own": bool(own_checks)
+        "custom aliveness checks": bool(own_checks)
         or any(getattr(type(satellite), name) is not getattr(BoundSatellite, name) for name in ("is_alive", "aliveness"))
         or any(type(model).aliveness is not Model.aliveness for model in models),
         "a rewarder that ends episodes": env.checked.terminates or env.checked.truncates,
@@ -84,23 +85,21 @@ class NativePhases:
         actions: Any = self.satellite.actions
         self.begin = _begin_kernel(len(self.simulator.type.resets[0]), actions.keys is not None, self.satellite.variable_interval)
         self.settle = _settle_kernel()
-        self.judge = _judge_kernel(type(env), len(self.vitals), env.terminate_on_time_limit, env.dtype)
-        self.ends_on_limit = env.terminate_on_time_limit
+        self.judge = _judge_kernel(type(env), len(self.vitals))
         self._given: tuple[float, ...] = ()
 
     @property
     def applies(self) -> bool:
         """Whether nothing that reads traces of runs has been added since the environment was built."""
         fleet = self.env.fleet
-        read = fleet.recordings or fleet.stop_conditions or fleet.flight_observers or self.simulator.sources
-        return not read and self.env.terminate_on_time_limit == self.ends_on_limit
+        return not (fleet.recordings or fleet.stop_conditions or fleet.flight_observers or self.simulator.sources)
 
     @property
     def numbers(self) -> Tensor:
         """Numbers that all rows share, see :data:`NUMBERS`."""
         simulator, env = self.simulator, self.env
         modes, size = len(simulator.mode_names), self.satellite.actions.n_actions
-        given = simulator.h_ns, env.longest_ticks, simulator.h, env.failure_penalty, modes, size
+        given = simulator.h_ns, env.longest_ticks, simulator.h, env.failure_penalty, env.terminate_on_time_limit, modes, size
         if given != self._given:
             self._given, self._numbers = given, torch.tensor(given, dtype=NUMBER)
         return self._numbers
@@ -130,9 +129,9 @@ class NativePhases:
         state.touch()
         self.simulator.fly(counts, int(most), bool(late))
         given = dict(numbers=numbers, since=since, counts=counts, limit=limit, ends=ends, requires=requires)
-        (ticks, time, ends, requires), _ = self.settle(n, given)
+        (ticks, time, ended, requires), _ = self.settle(n, given)
         state.set_clock(ticks, time)
-        task.put(ends=ends, requires_retasking=requires)
+        task.put(ends=ended, requires_retasking=requires)
         reward = checked.reward(before, checked.log()).double().contiguous()
         add_totals(env.rewarder, reward, self.everywhere)
         env.scenario.finish_step(time)
@@ -147,7 +146,8 @@ class NativePhases:
         (dead, returns, reward, terminated, truncated, done, duration), _ = self.judge(n, given)
         task.put(dead=dead)
         episodes.put(returns=returns)
-        return {"reward": reward, "terminated": terminated, "truncated": truncated, "done": done, "duration": duration}
+        flags = {"terminated": terminated, "truncated": truncated, "done": done}
+        return {"reward": reward.to(env.dtype), **flags, "duration": duration.to(env.dtype)}
 
 
 @functools.cache
@@ -210,7 +210,7 @@ def _settle_kernel() -> RowKernel:
 
 
 @functools.cache
-def _judge_kernel(of: type, vitals: int, ends_on_limit: bool, dtype: torch.dtype) -> RowKernel:
+def _judge_kernel(of: type[Tasking], vitals: int) -> RowKernel:
     """Who has died, and the outcome of a step."""
     trace = RowTrace()
     table, columns = trace.columns("table", NUMBER), trace.table("columns", TICKS)
@@ -219,27 +219,30 @@ def _judge_kernel(of: type, vitals: int, ends_on_limit: bool, dtype: torch.dtype
     simulator = SimpleNamespace(state=SimpleNamespace(ticks=ticks))
     group: Any = SimpleNamespace(simulator=simulator, aliveness=lambda: checks)
     group.task = SimpleNamespace(dead=trace.row("dead", TRUTH) | ~BoundSatellite.is_alive(group))
-    state = SimpleNamespace(returns=trace.row("returns", NUMBER))
-    fleet = SimpleNamespace(joined=lambda parts: parts[0].unsqueeze(1), size=1, present=None)
+    state = SimpleNamespace()
     env: Any = SimpleNamespace(
         state=state,
-        fleet=fleet,
+        fleet=SimpleNamespace(joined=lambda parts: parts[0].unsqueeze(1), size=1, present=None),
         satellites=[group],
         failure_penalty=_number(trace, "penalty"),
         checked=SimpleNamespace(terminates=False, truncates=False),
-        terminate_on_time_limit=ends_on_limit,
     )
     env._over, env._all_agents_ended = (functools.partial(getattr(of, name), env) for name in ("_over", "_all_agents_ended"))
     true = torch.ones_like(ticks, dtype=TRUTH)
     duration, reward = trace.row("counts", TICKS).double() * _number(trace, "h"), trace.row("reward", NUMBER).unsqueeze(1)
-    result = of._judge(env, duration, reward, true, ~true, ticks >= limit)  # type: ignore[attr-defined]
+    results = []
+    for env.terminate_on_time_limit in (False, True):
+        state.returns = trace.row("returns", NUMBER)
+        results.append(of._judge(env, duration, reward, true, ~true, ticks >= limit))
+    result = results[0]
+    terminated = torch.where(_number(trace, "limit_ends") > 0.5, results[1].terminated, result.terminated)
     outputs = {
         "dead": (group.task.dead, TRUTH),
         "returns": (state.returns, NUMBER),
-        "reward": (result.reward, dtype, 1),
-        "terminated": (result.terminated, TRUTH, 1),
+        "reward": (result.reward, NUMBER, 1),
+        "terminated": (terminated, TRUTH, 1),
         "truncated": (result.truncated, TRUTH, 1),
-        "done": (result.terminated | result.truncated, TRUTH, 1),
-        "duration": (result.duration, dtype, 1),
+        "done": (terminated | result.truncated, TRUTH, 1),
+        "duration": (result.duration, NUMBER, 1),
     }
     return RowKernel("judgment of a step", trace, outputs)

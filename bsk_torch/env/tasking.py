@@ -94,6 +94,10 @@ class SatelliteTasking(Tasking):
         """The phases of a step as kernels; None where they run on tensors, see :mod:`bsk_torch.env.native`."""
         return NativePhases.of(self)
 
+    def _begin(self, envs: Tensor) -> None:
+        _ = self.native  # before the first step, so that no step waits for the compiler
+        super()._begin(envs)
+
     @property
     def dead(self) -> Tensor:
         """Whether the satellite has died, [N]."""

@@ -145,8 +145,8 @@ class Hearing(ScanningSatellite):
         (ScanningSatellite, {}, None),
         (ScanningSatellite, {"log_level": "INFO"}, "a log of the episodes"),
         (ScanningSatellite, {"rewarder": Ending()}, "a rewarder that ends episodes"),
-        (Checked, {}, "aliveness checks of one's own"),
-        (Proud, {}, "aliveness checks of one's own"),
+        (Checked, {}, "custom aliveness checks"),
+        (Proud, {}, "custom aliveness checks"),
         (Hearing, {}, "actions that are more than a table"),
     ],
 )
