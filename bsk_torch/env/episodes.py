@@ -31,7 +31,7 @@ SEED_LIMIT = 2**63
 """Exclusive upper limit of seeds."""
 
 DRAWN_BYTES = 1 << 25
-"""Bytes of a scenario drawn at once: temporary tensors that are larger are new memory each time, which costs more than using it."""
+"""Bytes of a scenario drawn at once: larger temporary tensors are new memory each time, which costs more than its use."""
 
 ENDLESS = 2**31
 """Seconds after which Basilisk's clock stops an episode without limit; the Sun's ephemeris ends earlier."""
@@ -108,9 +108,9 @@ class EpisodePool:
             return rows
         used, filled = torch.nonzero(stale.view(-1)).squeeze(-1), self.filled.view(-1)
         filled[used] = False  # until all is done
-        key = [part.reshape(-1).cpu() for part in (seeds, env_ids, episodes)]
+        key = Key(*(part.reshape(-1).cpu() for part in (seeds, env_ids, episodes)))  # type: ignore[arg-type]
         for some in used.split(max(1, DRAWN_BYTES // max(1, self.fleet.scenario_state.nbytes // filled.numel()))):
-            self.start(self.fleet, some, Key(*(part[some.cpu()] for part in key)))
+            self.start(self.fleet, some, key.take(some.tolist()))
         filled[used] = True
         self.seed, self.episode = torch.where(stale, seeds, self.seed), torch.where(stale, episodes, self.episode)
         return rows

@@ -16,9 +16,9 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.component import UserArguments
 from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.readout.observables import observable
 from bsk_torch.sim.run.encounters import NEVER
 from bsk_torch.sim.satellite_state import SatelliteState
-from bsk_torch.sim.readout.observables import observable
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
