@@ -220,7 +220,7 @@ class FleetBuilder:
 
     @property
     def prepared(self) -> int:
-        """Number of episodes of each environment that are prepared in bulk; 0 where user functions draw episodes."""
+        """Number of episodes of each environment prepared in bulk; 0 where user functions draw episodes."""
         satellites = self.options.num_envs * len(self.names)
         return 0 if self.calls_user else 1 if satellites >= SMALLEST_POOL else max(2, IN_BULK // satellites)
 
