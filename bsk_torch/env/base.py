@@ -105,8 +105,8 @@ class Tasking(Present, MadeOfArguments):
             check_room(self.builder, trial.nbytes)
         n = options.num_envs
         self.fleet = self.builder.make_fleet(n)
-        unset, start = torch.full_like(self.fleet.all_envs, -1), self.builder.draw_and_start
-        self.pool = EpisodePool(unset, self._next_fleet, start) if self.builder.pool_pays else None
+        unset, start = self.fleet.all_envs.new_full((self.builder.prepared, n), -1), self.builder.draw_and_start
+        self.pool = EpisodePool(unset, self._next_fleet, start) if self.builder.prepared else None
         self._declare_state(options.env_ids)
         for simulator in self.fleet.simulators:
             simulator.type.arguments.check_per_env(self.env_ids)
@@ -149,7 +149,8 @@ class Tasking(Present, MadeOfArguments):
 
     def _next_fleet(self) -> Fleet:
         """Return a fleet for the next episodes, with windows as far ahead as actions and observations need."""
-        fleet = self.builder.make_fleet(self.num_envs, [simulator.type for simulator in self.fleet.simulators])
+        n = self.num_envs * self.builder.prepared
+        fleet = self.builder.make_fleet(n, [simulator.type for simulator in self.fleet.simulators])
         for simulator, present in zip(fleet.simulators, self.fleet.simulators, strict=True):
             if simulator.lookahead.access is not None and present.lookahead.access is not None:
                 simulator.lookahead.access.ahead = present.lookahead.access.ahead

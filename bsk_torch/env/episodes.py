@@ -27,6 +27,9 @@ from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import FINITE
 
+DRAWN_BYTES = 1 << 25
+"""Bytes of a scenario drawn at once: larger temporary tensors are new memory each time, which costs more than its use."""
+
 
 class EpisodeState(FleetState):
     """State of N episodes in an environment.
@@ -47,17 +50,19 @@ class EpisodeState(FleetState):
 
 
 class EpisodePool:
-    """The next episode of every environment, in a second fleet.
+    """The next episodes of every environment, in a second fleet.
 
     Solving orbits and windows for a few rows costs as much as for dozens, and in a large batch a few rows end at every step.
-    Therefore, when a prepared episode is missing, all used ones are replaced at once. Draws do not depend on when they are made,
-    so episodes are bit-identical with and without a pool.
+    Therefore, when a prepared episode is missing, all used ones are replaced at once. Of small batches, several episodes of each
+    environment are prepared, from the second one on: as many as have begun under its seed, so that no more than half are in
+    vain. Draws do not depend on when they are made, so episodes are bit-identical with and without a pool.
     """
 
     def __init__(self, unset: Tensor, make: Callable[[], Fleet], start: Callable[[Fleet, Tensor, Key], None]) -> None:
         """Keep episodes in a fleet returned by ``make``; ``start(fleet, envs, key)`` starts the episodes of a key in it.
 
-        ``unset`` [N] stands for seeds and episode numbers before the first episodes are prepared.
+        ``unset`` [D, N] stands for seeds and episode numbers before the first episodes are prepared: D for each environment. Row
+        ``d N + k`` of the fleet holds the episode of environment k whose number is d modulo D.
         """
         self._make, self.start = make, start
         self.seed, self.episode, self.filled = unset, unset.clone(), torch.zeros_like(unset, dtype=torch.bool)
@@ -67,22 +72,42 @@ class EpisodePool:
         """Fleet of the prepared episodes, created on first use."""
         return self._make()
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the fleet; 0 for small batches that have not needed it yet."""
+        return self.fleet.state.nbytes if len(self.filled) == 1 or "fleet" in self.__dict__ else 0
+
     def change(self, types: Sequence[SatelliteType], envs: Tensor | None) -> None:
         """Use satellite types with changed arguments; drop the episodes prepared for ``envs`` [n], or all of them."""
         if "fleet" in self.__dict__:
             self.fleet.change(types)
-        self.filled[slice(None) if envs is None else envs.to(self.filled.device)] = False
+        self.filled[:, slice(None) if envs is None else envs.to(self.filled.device)] = False
 
-    def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> None:
-        """Prepare ``episodes`` [N] of ``seeds`` [N] in ``envs`` [n]; if any of these is missing, all stale rows are prepared."""
-        stale = ~self.filled | (self.seed != seeds) | (self.episode != episodes)
-        if not bool(stale[envs].any()):
-            return
-        used = torch.nonzero(stale).squeeze(-1)
-        self.filled[used] = False  # until all is done
-        self.start(self.fleet, used, Key(seeds[used].cpu(), env_ids[used].cpu(), episodes[used].cpu()))
-        self.filled[used] = True
+    def holds(self, episodes: Tensor) -> bool:
+        """Return whether episodes of these numbers are prepared: the first ones under a seed only in large batches."""
+        return len(self.filled) == 1 or bool((episodes > 0).all())
+
+    def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> Tensor:
+        """Prepare ``episodes`` [N] of ``seeds`` [N] in ``envs`` [n]; if any of these is missing, all stale rows are prepared.
+
+        Return the rows [n] of the fleet that hold them.
+        """
+        depth, n = self.filled.shape
+        further = (torch.arange(depth, device=episodes.device).unsqueeze(1) - episodes) % depth
+        ahead = further < episodes.clamp(min=1)
+        seeds, episodes, env_ids = seeds.expand(depth, n), episodes + further, env_ids.expand(depth, n)
+        stale = ahead & (~self.filled | (self.seed != seeds) | (self.episode != episodes))
+        rows = (further == 0).long().argmax(0)[envs] * n + envs
+        if not bool(stale.view(-1)[rows].any()):
+            return rows
+        used, filled = torch.nonzero(stale.view(-1)).squeeze(-1), self.filled.view(-1)
+        filled[used] = False  # until all is done
+        key = Key(*(part.reshape(-1).cpu() for part in (seeds, env_ids, episodes)))  # type: ignore[arg-type]
+        for some in used.split(max(1, DRAWN_BYTES // max(1, self.fleet.scenario_state.nbytes // filled.numel()))):
+            self.start(self.fleet, some, key.take(some.tolist()))
+        filled[used] = True
         self.seed, self.episode = torch.where(stale, seeds, self.seed), torch.where(stale, episodes, self.episode)
+        return rows
 
 
 class Episodes(EnvBase):
@@ -92,7 +117,7 @@ class Episodes(EnvBase):
         builder: Creates fleets and draws episodes.
         fleet: The satellites of the current episodes.
         satellites: The satellites of each type.
-        pool: The next episodes, if the batch is large enough to prepare them in bulk.
+        pool: The next episodes, prepared in bulk; None where user functions draw them.
         names: Name of every satellite.
         env_ids: Index of each episode in the draws, [N].
         scenario: Task of the satellites.
@@ -179,9 +204,8 @@ class Episodes(EnvBase):
     def _begin(self, envs: Tensor) -> None:
         state = self.state
         seeds, episodes, begun = state.seed, state.episode + 1, self.guard.replace()
-        if self.pool is not None and not self.fleet.calls_user:
-            self.pool.fill(envs, seeds, self.env_ids, episodes)
-            state.copy_rows(envs, self.pool.fleet.state, envs)
+        if self.pool is not None and not self.fleet.calls_user and self.pool.holds(episodes[envs]):
+            state.copy_rows(envs, self.pool.fleet.state, self.pool.fill(envs, seeds, self.env_ids, episodes))
         else:
             key = Key(seeds[envs].cpu(), self.env_ids[envs].cpu(), episodes[envs].cpu())
             self.builder.draw_and_start(self.fleet, envs, key)

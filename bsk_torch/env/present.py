@@ -131,7 +131,7 @@ class Present(Episodes):
     @property
     def bytes_per_env(self) -> int:
         """Bytes of one environment's state, including its prepared next episode; windows found later add a little."""
-        return (self.state.nbytes + (self.pool.fleet.state.nbytes if self.pool else 0)) // self.num_envs
+        return (self.state.nbytes + (self.pool.nbytes if self.pool else 0)) // self.num_envs
 
     def check_finite(self) -> None:
         """Check the fields of all satellites; FloatingPointError with environment, field and tick for NaN or infinity."""

@@ -75,7 +75,7 @@ def test_a_pool_of_prepared_episodes_changes_nothing():
     """Second and third episodes of a large batch, which come from a pool, and of a small one, which do not."""
     many, few = make(33, env_ids=range(7, 40)), make(2, env_ids=[7, 8])
     assert many.pool is not None
-    assert few.pool is None
+    few.pool = None
     many.reset()
     few.reset()
     for row in (0, 1, 0):
@@ -85,6 +85,27 @@ def test_a_pool_of_prepared_episodes_changes_nothing():
         assert torch.equal(a["observation"][row], b["observation"][row])
     assert torch.equal(many.get_state()["satellites_0", "planes"][:2], few.get_state()["satellites_0", "planes"])
     assert many.episode[:3].tolist() == [2, 1, 0]
+
+
+def test_small_batches_prepare_several_episodes_from_the_second_one_on():
+    """As many as have begun, up to a bound, with the numbers of episodes that are drawn one by one; none of another seed."""
+    bulk, single = make(3), make(3)
+    single.pool, begun = None, []
+    start = bulk.pool.start
+    bulk.pool.start = lambda fleet, rows, key: (begun.append(len(rows)), start(fleet, rows, key))
+    for k in range(13):
+        masks = torch.tensor([[True, k % 2 == 0, k % 3 == 0]]).mT
+        some = TensorDict({"_reset": masks | (k == 0)}, [3])
+        a, b = bulk.reset(some.clone()), single.reset(some.clone())
+        assert torch.equal(a["observation"][masks[:, 0]], b["observation"][masks[:, 0]])
+    assert bulk.episode.tolist() == [12, 6, 4]
+    assert torch.equal(bulk.get_state()["satellites_0", "planes"], single.get_state()["satellites_0", "planes"])
+    assert sum(begun) > sum(bulk.episode.tolist())
+    assert len(begun) < 7
+    for seed in range(3):
+        bulk.set_seed(seed)
+        bulk.reset()
+    assert len(begun) < 7
 
 
 def test_permutation():

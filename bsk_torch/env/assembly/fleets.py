@@ -39,7 +39,10 @@ from bsk_torch.sim.world import WorldModel
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=NANO)
 
 SMALLEST_POOL = 32
-"""Number of satellites in a batch from which preparing episodes in bulk pays."""
+"""Number of satellites in a batch from which preparing the next episode of all environments in bulk pays."""
+
+IN_BULK = 16
+"""Satellites of smaller batches whose episodes are prepared in bulk, several of each environment."""
 
 SAMPLE = 1024
 """Random time limits drawn to estimate the length of arcs before a batch is built."""
@@ -125,7 +128,7 @@ class FleetBuilder:
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
         limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
         scenario_state, bounds = DrawTable(n, 1, self.device), self.scenario._bounds()
-        for name, value in self._scenario_draw(min(2, n)).items():
+        for name, value in self._scenario_draw(min(2, n, self.options.num_envs)).items():
             low, high = bounds.get(name, (None, None))
             scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)
         types = self.satellite_types if types is None else types
@@ -216,9 +219,10 @@ class FleetBuilder:
         return is_function(self.options.time_limit) or randomizes or self.scenario.calls_user
 
     @property
-    def pool_pays(self) -> bool:
-        """True for batches large enough to prepare episodes in bulk."""
-        return self.options.num_envs * len(self.names) >= SMALLEST_POOL and not self.calls_user
+    def prepared(self) -> int:
+        """Number of episodes of each environment prepared in bulk; 0 where user functions draw episodes."""
+        satellites = self.options.num_envs * len(self.names)
+        return 0 if self.calls_user else 1 if satellites >= SMALLEST_POOL else max(2, IN_BULK // satellites)
 
     def draw_time_limit(self, key: Key, answers: Sequence[Answers] = ()) -> Tensor:
         """Return the time limits [n] s of the key's environments, not yet rounded to whole ticks."""

@@ -132,8 +132,8 @@ def _observed(satellite: SatelliteGroup) -> Values:
 
 
 def check_room(builder: FleetBuilder, nbytes: int) -> None:
-    """Raise MemoryError if a batch with ``nbytes`` bytes per environment, twice that with prepared episodes, does not fit."""
-    check_memory(builder.device, builder.options.num_envs, nbytes * (2 if builder.pool_pays else 1))
+    """Raise MemoryError if a batch with ``nbytes`` bytes per environment, and as many for a prepared episode, does not fit."""
+    check_memory(builder.device, builder.options.num_envs, nbytes * (1 + builder.prepared))
 
 
 def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: CommunicationMethod) -> Trial:

@@ -55,7 +55,7 @@ class CommitRule:
         return self.images.start + values.masked_fill(~legal, -torch.inf).argmax(1)
 
 
-def commit(env: SatelliteTasking, seed: int = 0, **numbers: float) -> TensorDictModule:
+def commit(env: SatelliteTasking, seed: int = 0, **numbers: Tensor) -> TensorDictModule:
     """Return a :class:`CommitRule` with other ``numbers`` for an environment that observes sites; else KeyError or ValueError."""
     decide = partial(CommitRule.of(env).decide, **numbers)
     return TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])

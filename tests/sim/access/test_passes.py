@@ -11,7 +11,8 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes import passes as module
-from bsk_torch.sim.access.passes.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen
+from bsk_torch.sim.access.passes.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen, sorted_on_tensors
+from bsk_torch.sim.access.passes.screen import sorted_events
 from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
@@ -129,10 +130,21 @@ def test_the_screen_does_not_depend_on_how_many_products_are_made_at_once(shared
     found = []
     for room in (1, 1000, 3 * 8 * 50, 1 << 20):
         monkeypatch.setattr(module, "SCREEN_PRODUCTS", room)
-        found.append(coarse_screen(ground, Sites(r_P, least)))
+        found.append(coarse_screen(ground, Sites(r_P, least), kernels=False))
+    found.append(coarse_screen(ground, Sites(r_P, least)))
     for other in found[1:]:
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
     assert len(found[0][0]) > 10
+
+
+def test_events_are_sorted_by_the_kernel_as_on_tensors():
+    """Codes of any samples, of pairs in the order of rows and cells."""
+    row, cell, place = torch.cartesian_prod(torch.arange(3), torch.arange(4), torch.randperm(7)).unbind(-1)
+    codes = torch.tensor([1, 2, 4, 5, 6, 8])[torch.randint(6, (len(row), 18))] * (torch.rand(len(row), 18) < 0.2)
+    for last in (16 * 3 + 15, 40):
+        kernel, tensors = (list(sort(codes.double(), row, place, cell, last)) for sort in (sorted_events, sorted_on_tensors))
+        assert all(len(part[0]) > 10 for part in tensors)
+        assert all(torch.equal(a, b) for one, other in zip(kernel, tensors, strict=True) for a, b in zip(one, other, strict=True))
 
 
 def test_places_that_all_satellites_share():

@@ -48,7 +48,7 @@ def sorted_events(codes: Tensor, row: Tensor, place: Tensor, cell: Tensor, last:
     ``place`` [m]; ``last`` is the last sample of the search. Starts and ends are sorted by row, place and time, short passes as
     the pairs are.
     """
-    tables = codes.contiguous(), row, place, cell
+    tables = [table.contiguous() for table in (codes, row, place, cell)]
     sizes = len(row), codes.shape[1], SAMPLES_PER_CELL, last
     numbers = torch.zeros(3, dtype=torch.int64)
     list_kernel("events")(*sizes, *tables, numbers, None)
