@@ -127,7 +127,8 @@ def main() -> None:
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
     before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
-    rows: dict[str, dict[str, Any]] = before.get("rows", {})
+    table: dict[str, dict[str, Any]] = before.get("table", {})
+    flown: dict[str, dict[str, Any]] = before.get("flown", {})  # by planners, to be joined
     results: dict[str, Any] = {
         "ranges": RANGES,
         "seeds": [options.first, options.first + options.episodes],
@@ -146,15 +147,15 @@ def main() -> None:
     chance, _ = play(bsk_torch.rule("random", env), env, options.first)
     tuned, _ = play(tuned_rule(env), env, options.first)
 
-    def enter(name: str, policy: TensorDictModuleBase, where: Tasking) -> None:
-        rows[name] = row(*play(policy, where, options.first), tuned, chance)
-        one = figures(name, rows[name])
-        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", one), flush=True)
-        write()
+    def note(name: str, one: dict[str, Any]) -> None:
+        table[name] = figures(name, one)
+        if name.startswith(PLANNER):
+            flown[name] = one
+        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", table[name]), flush=True)
+        harness.write(options, described, table=table, flown=flown, **results)
 
-    def write() -> None:
-        table = [figures(name, one) for name, one in rows.items()]
-        harness.write(options, described, table=table, rows=rows, **results)
+    def enter(name: str, policy: TensorDictModuleBase, where: Tasking) -> None:
+        note(name, row(*play(policy, where, options.first), tuned, chance))
 
     for name in RULES if options.settings else ():
         enter(name, bsk_torch.rule(name, env), env)
@@ -168,11 +169,9 @@ def main() -> None:
         planner = Rollout(where, base, horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
         enter(f"{PLANNER}{' of a policy' * bool(options.base)}, {futures} futures", planner, where)
     for path in options.join:
-        for name, one in json.loads(path.read_text())["rows"].items():
-            if name.startswith(PLANNER):
-                rows[name] = joined([rows[name], one]) if name in rows else one
-    write()
-    print(harness.table(COLUMNS, [figures(name, one) for name, one in rows.items()]))
+        for name, one in json.loads(path.read_text())["flown"].items():
+            note(name, joined([flown[name], one]) if name in flown else one)
+    print(harness.table(COLUMNS, list(table.values())))
 
 
 if __name__ == "__main__":
