@@ -157,7 +157,7 @@ def main() -> None:
     def enter(name: str, policy: TensorDictModuleBase, where: Tasking) -> None:
         note(name, row(*play(policy, where, options.first), tuned, chance))
 
-    for name in RULES if options.settings else ():
+    for name in RULES if options.settings or not table else ():
         enter(name, bsk_torch.rule(name, env), env)
     enter(TUNED, tuned_rule(env), env)
     for folder in options.runs:
