@@ -2,11 +2,12 @@
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
-        [--futures 4 12] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...] [--out FILE.json]
+        [--futures 4 12] [--base FOLDER] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...]
+        [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
-share is this gain, divided by the difference between the entrant and random actions: part of the way from random actions to the
-entrant. ``--settings 0`` takes the tuned numbers of ``--out``, or those of the package. ``--runs`` are folders of trainings;
+share is this gain as a part of the way from random actions to the entrant, or to the tuned rule if that is farther. ``--settings
+0`` takes the tuned numbers of ``--out``, or those of the package. ``--runs`` are folders of trainings;
 planners with 0 futures know the weather. Entrants that are measured again replace their rows of ``--out``, others stay. Planners
 take long: several runs, with another ``--first`` each, can share their episodes, which ``--join`` collects.
 """
@@ -98,7 +99,7 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def figures(entrant: str, one: dict[str, Any]) -> dict[str, Any]:
     """Return the figures of an entrant's row; the interval of the share is that of its gain, on the same scale."""
     mean, gain = (confidence(torch.tensor(one[name], dtype=torch.float64)) for name in ("returns", "gains"))
-    way = sum(one["over_random"]) / len(one["over_random"]) or 1.0
+    way = sum(one["over_random"]) / len(one["over_random"]) - min(0.0, gain.mean) or 1.0
     return {
         "entrant": entrant,
         "episodes": len(one["returns"]),
@@ -119,13 +120,15 @@ def main() -> None:
         __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], first=FIRST
     )
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
+    parsed.add_argument("--base", type=Path, metavar="FOLDER", help="training whose policy planners improve instead of the rule")
     parsed.add_argument(
         "--join", nargs="*", type=Path, default=[], metavar="FILE", help="files whose planners flew other episodes"
     )
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
     before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
-    rows: dict[str, dict[str, Any]] = before.get("rows", {})
+    table: dict[str, dict[str, Any]] = before.get("table", {})
+    flown: dict[str, dict[str, Any]] = before.get("flown", {})  # by planners, to be joined
     results: dict[str, Any] = {
         "ranges": RANGES,
         "seeds": [options.first, options.first + options.episodes],
@@ -144,32 +147,31 @@ def main() -> None:
     chance, _ = play(bsk_torch.rule("random", env), env, options.first)
     tuned, _ = play(tuned_rule(env), env, options.first)
 
+    def note(name: str, one: dict[str, Any]) -> None:
+        table[name] = figures(name, one)
+        if name.startswith(PLANNER):
+            flown[name] = one
+        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", table[name]), flush=True)
+        harness.write(options, described, table=table, flown=flown, **results)
+
     def enter(name: str, policy: TensorDictModuleBase, where: Tasking) -> None:
-        rows[name] = row(*play(policy, where, options.first), tuned, chance)
-        one = figures(name, rows[name])
-        print(harness.cell("{entrant}: {return:.2f}, {gain:+.2f} +- {gain_half:.2f}, {cpu:.0f} core-s", one), flush=True)
-        write()
+        note(name, row(*play(policy, where, options.first), tuned, chance))
 
-    def write() -> None:
-        table = [figures(name, one) for name, one in rows.items()]
-        harness.write(options, described, table=table, rows=rows, **results)
-
-    for name in RULES if options.settings else ():
+    for name in RULES if options.settings or not table else ():
         enter(name, bsk_torch.rule(name, env), env)
     enter(TUNED, tuned_rule(env), env)
     for folder in options.runs:
         where = environment(options, options.episodes, as_set=True)
         enter(f"policy {folder.name}", bsk_torch.load_policy(folder, where), where)
     for futures in options.futures if options.planned else ():
-        where = environment(options, options.planned)
-        planner = Rollout(where, tuned_rule(where), horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
-        enter(f"{PLANNER}, {futures} futures" if futures else f"{PLANNER} that knows the weather", planner, where)
+        where = environment(options, options.planned, as_set=options.base is not None)
+        base = bsk_torch.load_policy(options.base, where) if options.base else tuned_rule(where)
+        planner = Rollout(where, base, horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
+        enter(f"{PLANNER}{' of a policy' * bool(options.base)}, {futures} futures", planner, where)
     for path in options.join:
-        for name, one in json.loads(path.read_text())["rows"].items():
-            if name.startswith(PLANNER):
-                rows[name] = joined([rows[name], one]) if name in rows else one
-    write()
-    print(harness.table(COLUMNS, [figures(name, one) for name, one in rows.items()]))
+        for name, one in json.loads(path.read_text())["flown"].items():
+            note(name, joined([flown[name], one]) if name in flown else one)
+    print(harness.table(COLUMNS, list(table.values())))
 
 
 if __name__ == "__main__":

@@ -36,6 +36,7 @@ class CommitRule:
         self,
         observation: Observation,
         action_mask: Tensor,
+        /,
         *,
         patience: Number = DEFAULTS.patience,
         loyalty: Number = DEFAULTS.loyalty,
