@@ -248,7 +248,7 @@ def test_trainings_without_options_use_the_recipe():
     one, team = configure("Sites-v1"), configure("SitesTeam-v1")
     assert (one.network, one.imitate, one.options) == ("attention", "commit", {"as_set": True})
     assert (team.network, team.imitate, team.algorithm) == ("attention", "commit", "mappo")
-    assert configure("AEOS-v1").network == "mlp"
+    assert configure("NadirScan-v1").network == "mlp"
 
 
 def test_refusals():
