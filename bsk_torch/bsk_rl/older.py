@@ -21,34 +21,32 @@ MODULES = {
 NAMES = {
     "data": {
         "DataManager": "GlobalReward", "NoDataManager": "NoReward", "NadirScanningManager": "ScanningTimeReward",
-        "ScanningNadirTimeManager": "ScanningTimeReward", "UniqueImagingManager": "UniqueImageReward",
-        "UniqueImagingReward": "UniqueImageReward",
+        "NadirScanningTimeData": "ScanningTime", "ScanningNadirTimeStore": "ScanningTimeStore",
+        "UniqueImagingManager": "UniqueImageReward",
     },
     "scene": {
         "EnvironmentFeatures": "Scenario", "StaticTargets": "UniformTargets", "UniformNadirFeature": "UniformNadirScanning",
     },
     "act": {
-        "ChargingAction": "Charge", "ChargeAction": "Charge", "DesatAction": "Desat", "DownlinkAction": "Downlink",
-        "DriftAction": "Drift", "ImagingActions": "Image", "ImagingAction": "Image", "NadirImagingAction": "Scan",
+        "ChargingAction": "Charge", "DesatAction": "Desat", "DiscreteSatAction": "DiscreteAction", "DownlinkAction": "Downlink",
+        "DriftAction": "Drift", "ImagingActions": "Image", "NadirImagingAction": "Scan", "SatAction": "Action",
     },
     "obs": {
-        "EclipseState": "Eclipse", "NormdPropertyState": "SatProperties", "SatelliteObservation": "Observation",
-        "TargetState": "OpportunityProperties", "TimeState": "Time",
+        "EclipseState": "Eclipse", "GroundStationState": "OpportunityProperties with type='ground_station'",
+        "NormdPropertyState": "SatProperties", "SatObservation": "Observation", "TargetState": "OpportunityProperties",
+        "TimeState": "Time",
     },
     "sats": {
-        "BasicSatellite": "Satellite", "FullFeaturedSatellite": "ImagingSatellite", "ImagerSatellite": "ImagingSatellite",
+        "BasicSatellite": "Satellite", "FBImagerSatellite": "ImagingSatellite with fsw_type = fsw.ImagingFSWModel",
+        "FullFeaturedSatellite": "ImagingSatellite", "ImageAheadSatellite": "ImagingSatellite",
         "SteeringImagerSatellite": "ImagingSatellite with fsw_type = fsw.SteeringImagerFSWModel",
     },
-    "comm": {"CommunicationMethod": "CommunicationMethod", "LOSBroadcastCommunication": "LOSCommunication"},
     "sim.world": {
         "BasicEnvironmentModel": "EclipseWorldModel and AtmosphereWorldModel, or leave world_type out",
         "BasicWorldModel": "EclipseWorldModel and AtmosphereWorldModel, or leave world_type out",
         "GroundStationEnvModel": "GroundStationWorldModel", "EnvironmentModel": "WorldModel",
     },
-    "": {
-        "MultiagentSatelliteTasking": "ConstellationTasking", "SingleSatelliteTasking": "SatelliteTasking",
-        "MultisatConstellationTasking": "ConstellationTasking",
-    },
+    "": {"MultiagentSatelliteTasking": "ConstellationTasking", "SingleSatelliteTasking": "SatelliteTasking"},
 }  # fmt: skip
 """Names of classes by module, and what to write."""
 
@@ -58,8 +56,7 @@ ARGUMENTS = {
     },
     "SatelliteTasking": {"satellites": "satellite"},
     "ConstellationTasking": {"satellite": "satellites"},
-    "Image": {"n_ahead_act": "n_ahead_image", "n_ahead": "n_ahead_image"},
-    "OpportunityProperties": {"n_ahead": "n_ahead_observe"},
+    "Image": {"n_ahead_act": "n_ahead_image"},
     "ImagingSatellite": {"n_ahead_observe": "n_ahead_observe of obs.OpportunityProperties",
                          "n_ahead_act": "n_ahead_image of act.Image"},
 }  # fmt: skip

@@ -9,7 +9,6 @@ from bsk_torch.bsk_rl.comm.communication import (
     MultiDegreeCommunication,
     NoCommunication,
 )
-from bsk_torch.bsk_rl.older import renamed_in
 
 __all__ = [
     "BroadcastCommunication",
@@ -20,5 +19,3 @@ __all__ = [
     "MultiDegreeCommunication",
     "NoCommunication",
 ]
-
-__getattr__ = renamed_in(__name__)
