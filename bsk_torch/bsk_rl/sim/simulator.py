@@ -129,7 +129,7 @@ class Simulator:
         self._h_ns = self.fleet.simulators[0].h_ns
         self._et = self.fleet.simulators[0].lookahead.flight.et[:1].clone()
         self._now = 0
-        self._limited: tuple[float, torch.Tensor, int] = (math.nan, torch.zeros(1), 0)
+        self._limited: tuple[float, torch.Tensor, int] = (math.nan, torch.zeros(1, dtype=torch.float64), 0)
         self.collisions: list[tuple[object, object]] = []
         self._booked: set[tuple[str, int, int]] = set()
         places = {column: (k, row) for k, s in enumerate(self.fleet.simulators) for row, column in enumerate(s.columns)}

@@ -47,7 +47,7 @@ TRACED = {
 }
 
 ON_TENSORS = {
-    "branch": (lambda d: d.r_BN_N if bool((d.r_BN_N[:, 0] > 0).all()) else 1.0 * d.r_BN_N, "Tensor.all"),
+    "branch": (lambda d: d.r_BN_N if bool((d.r_BN_N[:, 0] > 0).all()) else 1.0 * d.r_BN_N, "dim=None"),
     "rows": (lambda d: d.r_BN_N.sum(0) * 0.0 + d.r_BN_N, "dim=0"),
     "choice": (lambda d: d.r_BN_N[torch.arange(len(d.simulator.state.ticks))], "ticks"),
     "median": (lambda d: d.r_BN_N.median(-1).values, "Tensor.median"),
