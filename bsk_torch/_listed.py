@@ -106,7 +106,7 @@ LISTED: dict[str, Listed] = {
     "HeteroCluster-v1": Listed(
         "bsk_torch.presets.hetero_cluster:hetero_cluster",
         MANY,
-        "two optical satellites and a radar, to which clouds and night do not matter",
+        "two optical satellites and a radar that sees through clouds and at night",
         (*IMAGING, "cooperative"),
     ),
     "Sites-v1": Listed(
@@ -154,13 +154,13 @@ LISTED: dict[str, Listed] = {
     "CWDocking-v1": Listed(
         "bsk_torch.tasks.safe_autonomy.preset_docking:cw_docking",
         ONE,
-        "dock by thrusters, slowly enough at every distance; linear motion",
+        "dock with thrusters below a speed limit that depends on the distance; linear motion",
         ("glide",),
     ),
     "CWInspection-v1": Listed(
         "bsk_torch.tasks.safe_autonomy.preset_inspection:cw_inspection",
         ONE,
-        "inspect lit points of a spacecraft by thrusters; linear motion",
+        "inspect lit points of a spacecraft with thrusters; linear motion",
         ("seek",),
     ),
     "AEOSBench-v1": Listed(

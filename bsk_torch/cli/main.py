@@ -104,7 +104,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "schedule": (
             "bsk_torch.cli.show:show_schedule",
-            "Show the order of a tick: all slots, or the components that run in a preset.",
+            "Show the order of a tick: all slots, or the components of a preset, and what computes the phases of a step.",
         ),
         "profile": (
             "bsk_torch.cli.train:profile",

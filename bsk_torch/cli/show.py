@@ -45,7 +45,7 @@ def show_schedule(
         str | None, typer.Argument(help="Environment, such as AEOS-v1; default: all slots.", show_default=False)
     ] = None,
 ) -> None:
-    """Show the order of a tick: all slots, or the components that run in a preset, and what computes the phases of a step.
+    """Show the order of a tick: all slots, or the components of a preset, and what computes the phases of a step.
 
     Examples:
         bsk-torch schedule

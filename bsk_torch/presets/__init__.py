@@ -21,11 +21,11 @@ name                       module                      task
 ``Services-v1``            ``tasks.objects``           image satellites and debris again and again; the ground verifies the images
 ``ThreeSensors-v1``        ``tasks.objects``           three imagers of objects in orbit that know different images
 ``Walker4-v1``             ``tasks.objects``           four imagers that tell each other of images by radio
-``CWDocking-v1``           ``tasks.safe_autonomy``     dock by thrusters, slowly enough at every distance; linear motion
-``CWInspection-v1``        ``tasks.safe_autonomy``     inspect lit points of a spacecraft by thrusters; linear motion
+``CWDocking-v1``           ``tasks.safe_autonomy``     dock with thrusters below a speed limit; linear motion
+``CWInspection-v1``        ``tasks.safe_autonomy``     inspect lit points of a spacecraft with thrusters; linear motion
 ``AEOSBench-v1``           ``tasks.aeos_bench``        AEOS-Bench: point satellites at tasks on the ground, second by second
 =========================  ==========================  ========================================================================
-=======
+
 :data:`bsk_torch._listed.LISTED` is the one table of them: name, module and function, task, rules.
 """
 
