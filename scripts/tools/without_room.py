@@ -24,7 +24,7 @@ from bsk_torch._listed import LISTED
 
 ROOT = Path(__file__).resolve().parents[2]
 
-TASKS = ("aeos_bench", "aeossp", "areas", "inspection", "objects", "safe_autonomy")
+TASKS = ("aeos_bench", "aeossp", "areas", "inspection", "objects", "safe_autonomy", "sites")
 ROOMS = (*(f"tasks/{task}" for task in TASKS), "lab", "viewer", "bsk_rl")
 
 
