@@ -91,6 +91,8 @@ benchmarks/aeossp_flown.py --folder {root}/tests/tasks/aeossp --cases data --pla
   compiled: \\| data \\| solution \\| 5
 benchmarks/aeossp_policy.py --folder {root}/tests/tasks/aeossp --case data --learn data --frames 32 --num-envs 2
   compiled: (?s)\| data \| farsighted \| 0\.\d+ \|.*\| data \| policy \| 0\.\d+ \|
+benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --out sites.json
+  compiled: commit
 benchmarks/requests.py --batches 2 --requests 20 --hours 0.5 --steps 2
   compiled: \| 2 \| 20 \| 20 \| [\d.]+ \| [\d,]+ \|
 benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized
@@ -180,6 +182,8 @@ examples/offline_cql.py --episodes 2 --time-limit 900 --steps 20 --iterations 3
   compiled: (?s)random: \d+ decisions, .*learned: return .*fitted Q with traces: .* of the pairs of actions in order
 scripts/demo.sh {train} --out {tmp}/run
   compiled: trained
+scripts/tools/measure_presets.py --presets CWDocking-v1 --episodes 2 --out scores.json
+  compiled: glide
 scripts/tools/make_readme_pictures.py speed CWDocking-v1 --out .
   compiled: (?s)speed.png.*CWDocking-v1.png
 scripts/tools/make_viewer_film.py --preset NadirScan-v1 --until 900 --step 450 --out film.webp

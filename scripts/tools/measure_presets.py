@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import datetime, timezone
+from pathlib import Path
 
 import torch
 
@@ -81,9 +82,8 @@ def played(preset: str, name: str, options: dict[str, object], episodes: int) ->
     return result, time.process_time() - begin
 
 
-def measured(preset: str) -> dict[str, object]:
-    """Return the entry of a preset."""
-    episodes = FEWER.get(preset, EPISODES)
+def measured(preset: str, episodes: int) -> dict[str, object]:
+    """Return the entry of a preset in a number of episodes."""
     results: dict[str, Evaluation] = {}
     rows = {}
     for title, name, options in players(preset):
@@ -103,14 +103,18 @@ def main() -> None:
     """Measure presets, and write the table after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--presets", default=",".join(LISTED), help="names, separated by commas; default: all")
+    parser.add_argument("--episodes", type=int, help=f"default: {EPISODES}, or fewer where they are expensive")
+    parser.add_argument("--out", type=Path, default=SCORES, help="the table")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
-    for preset in parser.parse_args().presets.split(","):
-        entry = measured(preset) | {"bsk_torch": bsk_torch.__version__, "date": datetime.now(timezone.utc).date().isoformat()}
+    for preset in arguments.presets.split(","):
+        entry = measured(preset, arguments.episodes or FEWER.get(preset, EPISODES))
+        entry |= {"bsk_torch": bsk_torch.__version__, "date": datetime.now(timezone.utc).date().isoformat()}
         scores.cache_clear()
         entries = scores() | {preset: entry}
         rows = ",\n".join(f'  "{name}": {json.dumps(entries[name])}' for name in LISTED if name in entries)
         head = f'"command": "python scripts/tools/measure_presets.py", "first_seed": {FIRST}'
-        write_file(SCORES, f'{{{head},\n "presets": {{\n{rows}\n }}\n}}\n')
+        write_file(arguments.out, f'{{{head},\n "presets": {{\n{rows}\n }}\n}}\n')
 
 
 if __name__ == "__main__":
