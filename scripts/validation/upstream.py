@@ -30,7 +30,6 @@ RAY = "needs Ray"
 INSIDE = "builds modules of Basilisk"
 CHANGES = "changes modules of Basilisk during an episode"
 VERSIONS = "reads the versions of the packages bsk_rl and bsk"
-EPOCHS = "draws an epoch of bsk_torch's own distribution, which is none of bsk_rl's functions"
 
 LEFT_OUT = {
     "space_to_space_rso_imaging_demo": VERSIONS,
@@ -46,7 +45,6 @@ LEFT_OUT = {
 
 RSO, EXAMPLE = "test_int_rso_imaging_env.py", "test_int_space_to_space_imaging_example.py"
 TESTS_LEFT_OUT = {
-    f"{RSO}::test_unpinned_catalog_follows_realized_environment_epoch_on_each_reset[True]": EPOCHS,
     f"{RSO}::test_real_access_interruption_resets_only_continuous_hold[continuous]": CHANGES,
     f"{RSO}::test_real_access_interruption_resets_only_continuous_hold[cumulative]": CHANGES,
     f"{RSO}::test_real_illumination_and_capacity_block_storage": CHANGES,
