@@ -86,7 +86,7 @@ def imaging(b: Any, limit: float) -> Any:
 
 
 def properties(b: Any, limit: float) -> Any:
-    """Return a scanner that observes properties of its own model."""
+    """Return a scanner that observes properties of a custom model."""
 
     class Model(b.dyn.ContinuousImagingDynModel, b.dyn.GroundStationDynModel):
         @property

@@ -74,18 +74,18 @@ def environment(options: argparse.Namespace, episodes: int, **more: Any) -> Task
 def play(policy: TensorDictModuleBase, env: Tasking, first: int) -> tuple[Evaluation, float]:
     """Return the results of a policy in the fresh episodes, and the CPU time, s."""
     clock = time.process_time()
-    found = evaluate(policy, env, seeds=range(first, first + env.num_envs))
-    return found, time.process_time() - clock
+    result = evaluate(policy, env, seeds=range(first, first + env.num_envs))
+    return result, time.process_time() - clock
 
 
-def row(found: Evaluation, cpu: float, tuned: Evaluation, chance: Evaluation) -> dict[str, Any]:
+def row(result: Evaluation, cpu: float, tuned: Evaluation, chance: Evaluation) -> dict[str, Any]:
     """Return the returns of an entrant, and its gains over the tuned rule and over random actions in the same episodes."""
-    n = len(found.returns)
+    n = len(result.returns)
     others = {"gains": tuned, "over_random": chance}
     return {
-        "returns": found.returns.tolist(),
-        **{name: (found.returns - other.returns[:n]).tolist() for name, other in others.items()},
-        "measures": {name: float(values.mean()) for name, values in found.measures.items()},
+        "returns": result.returns.tolist(),
+        **{name: (result.returns - other.returns[:n]).tolist() for name, other in others.items()},
+        "measures": {name: float(values.mean()) for name, values in result.measures.items()},
         "cpu": cpu,
     }
 

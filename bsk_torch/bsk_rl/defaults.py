@@ -117,10 +117,10 @@ def _collected(model: object, methods: Methods, values: Mapping[str, object]) ->
 
 def _replaced(model: object, methods: Methods) -> set[str]:
     """Return the names of methods that a user's model defines without declaring arguments: there are none then, as in bsk_rl."""
-    found = {name: getattr(model, name, None) for name in methods}
+    attributes = {name: getattr(model, name, None) for name in methods}
     return {
         name
-        for name, method in found.items()
+        for name, method in attributes.items()
         if method is not None and not method.__module__.startswith("bsk_torch.") and not hasattr(method, "defaults")
     }
 

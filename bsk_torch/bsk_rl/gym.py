@@ -179,8 +179,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         required = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
         if world_type is not None:
             logger.warning("Using user-specified world type. Generally, the env-determined world type is sufficient.")
-        given = required if world_type is None else (world_type,) if isinstance(world_type, type) else world_type
-        self.world_type = compose(tuple(for_one_episode(model) for model in given), WorldModel)
+        models = required if world_type is None else (world_type,) if isinstance(world_type, type) else world_type
+        self.world_type = compose(tuple(for_one_episode(model) for model in models), WorldModel)
         self.world_args_generator = self.world_type.default_world_args(**(world_args or {}))
         self.scenario = deepcopy(scenario) or Scenario()
         self.scenario.link_satellites(self.satellites)

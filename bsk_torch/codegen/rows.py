@@ -163,11 +163,11 @@ class RowKernel:
         signature = "i" + "".join("pi" if looked_up else "p" for looked_up in self._looked_up) + "p" * len(outputs) + "p"
         self._run: Callable[..., None] = build.entry(build.load(self.source, name), signature)
 
-    def __call__(self, n: int, given: Mapping[str, Any]) -> tuple[list[Tensor], list[float]]:
-        """Return outputs of ``n`` rows, and the largest values; ``given`` are contiguous tensors of the traced dtypes."""
+    def __call__(self, n: int, inputs: Mapping[str, Any]) -> tuple[list[Tensor], list[float]]:
+        """Return outputs of ``n`` rows, and the largest values; ``inputs`` are contiguous tensors of the traced dtypes."""
         arguments: list[Tensor | int] = []
         for name, looked_up in zip(self.names, self._looked_up, strict=True):
-            argument = given[name]
+            argument = inputs[name]
             arguments.append(argument)
             if looked_up:
                 arguments.append(argument.numel() if looked_up == "table" else argument.shape[-1])
@@ -185,14 +185,14 @@ def _value(value: object) -> Value:
 
 
 def _live(values: Sequence[Value]) -> list[Value]:
-    found: dict[int, Value] = {}
+    live: dict[int, Value] = {}
     waiting = list(values)
     while waiting:
         value = waiting.pop()
-        if value.index not in found:
-            found[value.index] = value
+        if value.index not in live:
+            live[value.index] = value
             waiting.extend(value.args)
-    return [found[index] for index in sorted(found)]
+    return [live[index] for index in sorted(live)]
 
 
 class _Loop(NamedTuple):

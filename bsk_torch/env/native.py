@@ -86,7 +86,7 @@ class NativePhases:
         self.begin = _begin_kernel(len(self.simulator.type.resets[0]), actions.keys is not None, self.satellite.variable_interval)
         self.settle = _settle_kernel()
         self.judge = _judge_kernel(type(env), len(self.vitals))
-        self._given: tuple[float, ...] = ()
+        self._values_of_numbers: tuple[float, ...] = ()
 
     @property
     def applies(self) -> bool:
@@ -99,9 +99,9 @@ class NativePhases:
         """Numbers that all rows share, see :data:`NUMBERS`."""
         simulator, env = self.simulator, self.env
         modes, size = len(simulator.mode_names), self.satellite.actions.n_actions
-        given = simulator.h_ns, env.longest_ticks, simulator.h, env.failure_penalty, env.terminate_on_time_limit, modes, size
-        if given != self._given:
-            self._given, self._numbers = given, torch.tensor(given, dtype=NUMBER)
+        values = simulator.h_ns, env.longest_ticks, simulator.h, env.failure_penalty, env.terminate_on_time_limit, modes, size
+        if values != self._values_of_numbers:
+            self._values_of_numbers, self._numbers = values, torch.tensor(values, dtype=NUMBER)
         return self._numbers
 
     def advance(self, action: Tensor) -> dict[str, Tensor]:
@@ -115,12 +115,12 @@ class NativePhases:
         before, (modes, again, durations) = checked.log(), actions.table()
         env.guard.change(self.everywhere)
         numbers, (planes, resets, values) = self.numbers, self.simulator.type.resets
-        given = dict(
+        arguments = dict(
             numbers=numbers, action=action, previous=task.previous_action, modes=modes, again=again, durations=durations,
             keys=actions.keys, now=since, limit=limit, mode=state.mode, planes=state.planes,
             arcs_end=self.simulator.lookahead.flight.end, reset_planes=planes, resets=resets, reset_values=values,
         )  # fmt: skip
-        (ends, expected, duration, key, requires, mode, counts), (most, late) = self.begin(n, given)
+        (ends, expected, duration, key, requires, mode, counts), (most, late) = self.begin(n, arguments)
         if most == torch.inf:
             env.guard.change(None)
             actions.checked(action, None)  # which names the wrong action
@@ -128,8 +128,8 @@ class NativePhases:
         state.put(mode=mode)
         state.touch()
         self.simulator.fly(counts, int(most), bool(late))
-        given = dict(numbers=numbers, since=since, counts=counts, limit=limit, ends=ends, requires=requires)
-        (ticks, time, ended, requires), _ = self.settle(n, given)
+        arguments = dict(numbers=numbers, since=since, counts=counts, limit=limit, ends=ends, requires=requires)
+        (ticks, time, ended, requires), _ = self.settle(n, arguments)
         state.set_clock(ticks, time)
         task.put(ends=ended, requires_retasking=requires)
         reward = checked.reward(before, checked.log()).double().contiguous()
@@ -139,11 +139,11 @@ class NativePhases:
         observed = self.simulator.observer.table()
         assert observed is not None  # there are kernels, and vitals are wanted
         table, kernel = observed
-        given = dict(
+        arguments = dict(
             numbers=numbers, table=table, columns=kernel.places(self.vitals), ticks=ticks, limit=limit, counts=counts,
             dead=task.dead, reward=reward, returns=episodes.returns,
         )  # fmt: skip
-        (dead, returns, reward, terminated, truncated, done, duration), _ = self.judge(n, given)
+        (dead, returns, reward, terminated, truncated, done, duration), _ = self.judge(n, arguments)
         task.put(dead=dead)
         episodes.put(returns=returns)
         flags = {"terminated": terminated, "truncated": truncated, "done": done}

@@ -591,8 +591,8 @@ def test_pools_of_prepared_episodes_change_nothing(monkeypatch: pytest.MonkeyPat
         assert torch.all(env.episode > 1)
         return seen
 
-    without = episodes()
-    monkeypatch.setattr("bsk_torch.env.assembly.fleets.SMALLEST_POOL", 1)
-    assert len(without) == 25
-    for a, b in zip(without, episodes(), strict=True):
-        assert_equal(a, b)
+    several = episodes()  # a small batch prepares several episodes, from the second one on
+    for prepared in (0, 1):
+        monkeypatch.setattr("bsk_torch.env.assembly.fleets.FleetBuilder.prepared", prepared)
+        for a, b in zip(several, episodes(), strict=True):
+            assert_equal(a, b)

@@ -48,9 +48,9 @@ def advice(name: str) -> str:
     return ""
 
 
-def unreadable(name: str, what: str, known: Iterable[str]) -> str:
+def unreadable(name: str, what: str, readable: Iterable[str]) -> str:
     """Return the text of the error for an attribute of a module or message that cannot be read."""
-    return f"{name!r} of {what} of Basilisk's cannot be read here; known are {sorted(known)}. {COMPONENT}"
+    return f"{name!r} of {what} of Basilisk's cannot be read here; known are {sorted(readable)}. {COMPONENT}"
 
 
 class Payload(SimpleNamespace):

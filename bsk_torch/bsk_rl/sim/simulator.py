@@ -81,10 +81,10 @@ def reads_only_clock(condition: Callable[..., object]) -> bool:
     code: Any = getattr(condition, "__code__", None)
     if code is None or any(inspect.iscode(constant) for constant in code.co_consts):
         return False
-    seen = inspect.getclosurevars(condition)
-    values = [*seen.nonlocals.values(), *seen.globals.values()]
+    variables = inspect.getclosurevars(condition)
+    values = [*variables.nonlocals.values(), *variables.globals.values()]
     modules = [value for value in values if inspect.ismodule(value)]
-    attributes = seen.unbound - CLOCK
+    attributes = variables.unbound - CLOCK
     return all(isinstance(value, int | float) or inspect.ismodule(value) for value in values) and all(
         any(hasattr(module, name) for module in modules) for name in attributes
     )

@@ -260,8 +260,8 @@ class ModelView:
         """Return the results of the core's checks that its kernel computes together; none where there is no kernel."""
         memo = self._present()
         if "vitals" not in memo:
-            known = {name: function for name, function in self._whole.vitals().items() if function in memo["layout"]}
-            memo["vitals"] = {name: self._read(function, memo) for name, function in known.items()}
+            checks = {name: function for name, function in self._whole.vitals().items() if function in memo["layout"]}
+            memo["vitals"] = {name: self._read(function, memo) for name, function in checks.items()}
         return memo["vitals"]
 
 

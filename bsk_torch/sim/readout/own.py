@@ -68,10 +68,10 @@ class OwnFunction:
         if not isinstance(self.function, FunctionType):
             raise UntraceableError(f"it is a {type(self.function).__name__}, not a function")
         satellite = _satellite(self.satellite, now)
-        given = satellite if self.of is None else satellite.fsw if self.of is self.satellite.fsw else satellite.dynamics
+        owner = satellite if self.of is None else satellite.fsw if self.of is self.satellite.fsw else satellite.dynamics
         try:
             with _watching(self.function, self.satellite) as self.watched:
-                return _planes(self.function(given))
+                return _planes(self.function(owner))
         except UntraceableError:
             raise
         except Exception as error:

@@ -88,15 +88,15 @@ def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tens
 
 def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     """Return what each image is worth to the rule *commit*, divided by that of the best, [N, n]; -1 for those out of reach."""
-    now, known = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
-    values = {f"site_{name}": value for name, value in known._asdict().items()} | {
-        "risk": known.risk,
+    now, outlook = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
+    values = {f"site_{name}": value for name, value in outlook._asdict().items()} | {
+        "risk": outlook.risk,
         "target_angle": satellite.aims(images, None)[..., 3],
         "opportunity_open": images.open - now,
         "opportunity_close": images.close - now,
     }
-    found = worth(values.__getitem__, Commitment())
-    return (found / found.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
+    worths = worth(values.__getitem__, Commitment())
+    return (worths / worths.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
 
 
 def site_code(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:

@@ -47,9 +47,9 @@ class CommitRule:
         nerve: Number = DEFAULTS.nerve,
     ) -> Tensor:
         """Return actions, [N], for an observation and the legal actions [N, A]; the numbers are those of :class:`Commitment`."""
-        given = (patience, loyalty, each, slack, slew, alone, nerve)
+        settings = (patience, loyalty, each, slack, slew, alone, nerve)
         numbers = Commitment(
-            *(torch.as_tensor(value, dtype=torch.float32, device=action_mask.device).reshape(-1, 1) for value in given)
+            *(torch.as_tensor(value, dtype=torch.float32, device=action_mask.device).reshape(-1, 1) for value in settings)
         )
         values = worth(lambda name: self.see.read(observation, name), numbers)
         legal = action_mask[:, self.images.start : self.images.stop] & self.see.exist(observation)
