@@ -4,7 +4,7 @@
 
 The patterns are in ``prose.csv``, next to this script: regular expressions, matched in any case and across line breaks. Checked
 are pages without their code, and docstrings, comments and other strings of Python files. Text in backticks is code. Without
-arguments, the script checks :data:`PLACES`, and of the changelog only the unreleased part.
+arguments, the script checks :data:`PLACES`, and of the changelog only the newest version.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import argparse
 import ast
 import csv
 import io
+import itertools
 import re
 import subprocess
 import sys
@@ -51,7 +52,8 @@ def blank(text: str) -> str:
 def page_text(path: Path, text: str) -> Iterator[tuple[int, str]]:
     """Yield the prose of a page with its first line."""
     if path.name == "CHANGELOG.md":
-        text = text[: released.start() if (released := re.search(r"^## [\d.]+ - \d{4}", text, re.MULTILINE)) else None]
+        versions = re.finditer(r"^## [\d.]+", text, re.MULTILINE)
+        text = text[: next((earlier.start() for earlier in itertools.islice(versions, 1, None)), None)]
     yield 1, blank(text)
 
 

@@ -248,6 +248,8 @@ def test_the_paper_has_the_form_that_joss_asks_for(paper):
     assert head["title"].startswith("bsk_torch: ")
     assert len(head["tags"]) >= 5
     assert {str(author["affiliation"]) for author in head["authors"]} == {str(place["index"]) for place in head["affiliations"]}
+    orcids = [author["orcid"] for author in head["authors"] if "orcid" in author]
+    assert all(re.fullmatch(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", orcid) for orcid in orcids)
     assert datetime.strptime(head["date"], "%d %B %Y")
     assert (PAPER.parent / head["bibliography"]).is_file()
     _, body = paper

@@ -55,8 +55,8 @@ def verdict(results: Mapping[str, Evaluation], preset: str) -> str:
     if gain.mean > gain.half_width:
         return wrapped(f"verdict: the policy is better than the best rule, {best}: {numbers}")
     better = "is better than the policy" if -gain.mean > gain.half_width else "may be as good as the policy or better"
-    known, *command = remedy(preset, best)
-    return "\n".join((wrapped(f"verdict: the rule {best} {better}: {numbers}; {known}"), *command))
+    advice, *command = remedy(preset, best)
+    return "\n".join((wrapped(f"verdict: the rule {best} {better}: {numbers}; {advice}"), *command))
 
 
 def wrapped(text: str) -> str:
