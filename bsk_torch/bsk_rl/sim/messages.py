@@ -12,6 +12,7 @@ import torch
 
 from bsk_torch.astro.ephemeris import sun_state
 from bsk_torch.constants import AU, MU_EARTH, MU_SUN, R_EARTH, R_SUN, SOLAR_FLUX
+from bsk_torch.sim.dyn.hub import BODY, box_inertia
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel, ImagingFSWModel, SteeringFSWModel
 
 COMPONENT = (
@@ -185,8 +186,7 @@ def inertia(dynamics: View) -> np.ndarray:
     args = dynamics.satellite.model_args
     if args.get("inertia") is not None:
         return np.array(args["inertia"], dtype=float)
-    w2, d2, h2 = (float(args[name]) ** 2 for name in ("width", "depth", "height"))
-    return np.diag([w2 + d2, d2 + h2, w2 + h2]) * float(args["mass"]) / 12.0
+    return np.diag(box_inertia(*(torch.tensor(args[name], dtype=torch.float64) for name in BODY)).numpy())
 
 
 def _hub(dynamics: View) -> SimpleNamespace:
