@@ -594,5 +594,7 @@ def test_pools_of_prepared_episodes_change_nothing(monkeypatch: pytest.MonkeyPat
     several = episodes()  # a small batch prepares several episodes, from the second one on
     for prepared in (0, 1):
         monkeypatch.setattr("bsk_torch.env.assembly.fleets.FleetBuilder.prepared", prepared)
-        for a, b in zip(several, episodes(), strict=True):
+        one_by_one = episodes()
+        assert len(one_by_one) == len(several) == 25
+        for a, b in zip(several, one_by_one, strict=True):
             assert_equal(a, b)

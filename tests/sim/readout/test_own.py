@@ -93,7 +93,7 @@ def of_dynamics(function):
 def test_functions_on_tensors_are_traced(caplog):
     """The kernel computes what torch does; what it cannot compute stays on tensors, and the log says why."""
     functions = TRACED | {name: function for name, (function, _) in ON_TENSORS.items()}
-    with caplog.at_level(logging.INFO, "bsk_torch"):
+    with caplog.at_level(logging.INFO, "bsk_torch.sim"):  # the logger whose level Basilisk's own functions set
         env = environment(*(dict(prop=name, fn=of_dynamics(function)) for name, function in functions.items()))
     env.rollout(2)
     observer = env.simulator.observer
