@@ -48,7 +48,7 @@ class EpisodeGuard:
         self.state, self.all_begun, self.interrupted, self.origin = state, False, False, Origin.DRAWN
         self._changing: Tensor | None = None
         self._lock, self._inside = threading.RLock(), ""
-        self._outer_modes: list[tuple[bool, torch.inference_mode | None]] = []
+        self._outer: list[tuple[bool, torch.inference_mode | None, Tensor | None]] = []
 
     def __enter__(self) -> None:
         if not self._lock.acquire(blocking=False):
@@ -60,16 +60,16 @@ class EpisodeGuard:
         grad, mode = torch.is_grad_enabled(), torch.inference_mode(False) if torch.is_inference_mode_enabled() else None
         if mode is not None:
             mode.__enter__()
-        self._outer_modes.append((grad, mode))
+        self._outer.append((grad, mode, self._changing))
+        self._changing = None
         torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            changing, self._changing = self._changing, None
-            if error is not None and changing is not None:
-                self._interrupt(changing, error)
+            if error is not None and self._changing is not None:
+                self._interrupt(self._changing, error)
         finally:
-            grad, mode = self._outer_modes.pop()
+            grad, mode, self._changing = self._outer.pop()
             torch.set_grad_enabled(grad)
             if mode is not None:
                 mode.__exit__(None, None, None)

@@ -60,6 +60,7 @@ REFUSALS: list[tuple[str, int, list[str]]] = [
     (f"{SCAN} gamma=2", 1, ["must lie in (0, 1]"]),
     (f"{SCAN} hidden=[1", 1, ["flow sequence"]),
     (f"{SCAN} hidden=[a]", 1, ["could not be converted to Integer"]),
+    (f"{SCAN} epochs=2 hidden=64", 1, ["hidden=64: ", "tuple[int, ...]"]),
     (f"{SCAN} --time-limit -5", 1, ["time_limit=-5"]),
     (f"{SCAN} --time-limit nan", 1, ["time_limit=nan"]),
     (f"{SCAN} --device foo", 1, ["device='foo' is not available"]),

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch import act, data, scene
+from bsk_torch import act, data, obs, scene
 from bsk_torch.env.base import ResetNeededError
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.sim import simulator as simulation
@@ -188,3 +188,24 @@ def test_a_signal_while_a_prepared_episode_is_made(monkeypatch):
     check_refusals(refusal(lambda: env.reset(), KeyboardInterrupt))
     monkeypatch.setattr(env.pool, "start", start)
     assert torch.equal(env.reset()["observation"], expected)
+
+
+def test_a_property_that_resets_its_environment_and_fails_leaves_no_running_episodes():
+    """The reset begins episodes; the step around it, which fails, must not leave them running."""
+    resets = []
+
+    def reset(satellite):
+        if resets:
+            resets.pop()
+            env.reset()
+            raise ZeroDivisionError
+        return satellite.dynamics.battery_charge_fraction
+
+    kind = type("Resetting", (ScanningSatellite,), {"observation_spec": (obs.SatProperties(dict(prop="own", fn=reset)),)})
+    parts = kind("Scanner1", sat_args=scanning_args()), scene.UniformNadirScanning(), data.ScanningTimeReward()
+    env = bsk_torch.SatelliteTasking(*parts, num_envs=2, seed=1, backend="eager")
+    td = env.reset().set("action", torch.zeros(2, dtype=torch.int64))
+    resets.append(True)
+    with pytest.raises(ZeroDivisionError):
+        env.step(td)
+    check_refusals(refusal(lambda: env.step(td), ResetNeededError, "a step was interrupted", "reset()"))

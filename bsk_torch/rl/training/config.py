@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -357,7 +358,11 @@ def override(config: Config, changes: Iterable[str]) -> Config:
     try:
         return _to_object(OmegaConf.merge(OmegaConf.structured(config), OmegaConf.from_dotlist(changes)))
     except (OmegaConfBaseException, yaml.YAMLError) as error:
-        raise ValueError(f"{' '.join(changes)}: {str(error).splitlines()[0]}") from error
+        name = re.split(r"[.\[]", str(getattr(error, "full_key", "")))[0]
+        kinds = {entry.name: entry.type for entry in dataclasses.fields(config)}
+        wrong = next((change for change in changes if change.startswith(f"{name}=")), " ".join(changes))
+        form = f"; {name} is of type {kinds[name]}, in this configuration {getattr(config, name)}" if name in kinds else ""
+        raise ValueError(f"{wrong}: {str(error).splitlines()[0]}{form}") from error
 
 
 def _to_object(node: object) -> Any:
