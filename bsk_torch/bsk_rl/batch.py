@@ -54,9 +54,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["BatchedVectorEnv", "NotBatchedError", "batched_core"]
-
-
 class NotBatchedError(TypeError):
     """A program that cannot be one batched simulation; the message states the reason."""
 

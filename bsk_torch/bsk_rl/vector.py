@@ -27,8 +27,6 @@ from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, say
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
-__all__ = ["AgentsVectorEnv", "Alone", "EpisodesVectorEnv", "vector_form"]
-
 logger = logging.getLogger(__name__)
 
 FASTER = "docs/migration_fast.md lists what to change for one simulation of all"

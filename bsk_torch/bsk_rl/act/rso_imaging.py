@@ -10,8 +10,6 @@ from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot
 from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.objects.act import HOLD_MODES
 
-__all__ = ["ImageRSO"]
-
 
 class ImageRSO(DiscreteAction):
     """Images one of the first candidates of a scenario :class:`~bsk_torch.bsk_rl.scene.RSOTargets`, in their order.

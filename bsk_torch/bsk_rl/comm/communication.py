@@ -19,16 +19,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = [
-    "BroadcastCommunication",
-    "CommunicationMethod",
-    "FreeCommunication",
-    "LOSCommunication",
-    "LOSMultiCommunication",
-    "MultiDegreeCommunication",
-    "NoCommunication",
-]
-
 logger = logging.getLogger(__name__)
 
 Pairs = list[tuple[Any, Any]]

@@ -10,8 +10,6 @@ from typing import Any
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.utils.functional import Resetable
 
-__all__ = ["Data", "DataStore", "GlobalReward"]
-
 logger = logging.getLogger(__name__)
 
 LogStateType = Any

@@ -14,8 +14,6 @@ from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 from bsk_torch.tasks.objects.reward import LEAST_BITS, SAME_TIME
 from bsk_torch.tasks.objects.team_reward import STAGES
 
-__all__ = ["RSOImageData", "RSOImageReward", "RSOImageStore"]
-
 Records = dict[str, RSOImageRecord]
 """Images by ``record_id``."""
 

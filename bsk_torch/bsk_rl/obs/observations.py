@@ -22,17 +22,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = [
-    "Eclipse",
-    "Observation",
-    "ObservationBuilder",
-    "OpportunityProperties",
-    "ResourceRewardWeight",
-    "SatProperties",
-    "Time",
-    "nested_obs_to_space",
-]
-
 logger = logging.getLogger(__name__)
 
 LARGEST = 1e16

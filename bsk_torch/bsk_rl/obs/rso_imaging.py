@@ -14,8 +14,6 @@ from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot, illumination_
 from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.objects.obs import DEFAULT
 
-__all__ = ["RSOTargetProperties", "target_properties"]
-
 NOTHING: dict[str, object] = {
     "valid": 0.0,
     "priority": 0.0,

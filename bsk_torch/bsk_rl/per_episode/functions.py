@@ -17,8 +17,6 @@ from bsk_torch.bsk_rl.per_episode.views import view_of
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.user_function import Tree, alike, as_batch, first_of
 
-__all__ = ["per_episode"]
-
 logger = logging.getLogger(__name__)
 
 

@@ -25,8 +25,6 @@ from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.names import nearest
 
-__all__ = ["SatAct", "SatObs", "Satellite"]
-
 SatObs = TypeVar("SatObs")
 SatAct = TypeVar("SatAct")
 

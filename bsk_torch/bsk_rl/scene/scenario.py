@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["Scenario", "UniformNadirScanning"]
-
-
 class Scenario(ABC, Resetable):
     """Base of scenarios; see :class:`~bsk_torch.bsk_rl.utils.functional.Resetable` for the hooks of resets.
 

@@ -22,8 +22,6 @@ from bsk_torch.bsk_rl.sim.models import SETUP, Task
 from bsk_torch.sim.dyn import Wheel
 from bsk_torch.sim.dyn.effectors.wheel_set import EACH
 
-__all__ = ["NotSimulatedError", "changed_arguments", "is_set_up_by_user"]
-
 
 class NotSimulatedError(NotImplementedError):
     """A model that adds a part that the package does not simulate."""

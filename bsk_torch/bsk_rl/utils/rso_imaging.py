@@ -9,8 +9,6 @@ import numpy as np
 
 from bsk_torch.tasks.objects.candidates import HIGHEST, LOWEST
 
-__all__ = ["CandidateSnapshot", "RSOImageRecord", "candidate_snapshot", "illumination_factor", "target_geometry"]
-
 
 @dataclass(frozen=True)
 class RSOImageRecord:
