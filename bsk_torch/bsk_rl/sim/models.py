@@ -234,12 +234,16 @@ def _check(cls: Any, **options: object) -> None:
             setattr(cls, table, tuple(getattr(cls, method)()))
 
 
+def classes_of_users(model: type) -> list[type]:
+    """Return the classes among the bases of a model that users have written."""
+    return [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins", "types", "abc")]
+
+
 def for_one_episode_only(model: type) -> list[str]:
     """Return the definitions of users' classes among the bases of a model that run for one episode only."""
     return sorted(
         name
-        for owner in model.__mro__
-        if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins", "types")
+        for owner in classes_of_users(model)
         for name, value in vars(owner).items()
         if name not in (*REQUIREMENTS, "default_world_args") and runs(name, value)
     )

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from bsk_torch.bsk_rl.sim.messages import COMPONENT
-from bsk_torch.bsk_rl.sim.models import SETUP, Task
+from bsk_torch.bsk_rl.sim.models import SETUP, Task, classes_of_users
 from bsk_torch.sim.dyn import Wheel
 from bsk_torch.sim.dyn.effectors.wheel_set import EACH
 
@@ -267,17 +267,12 @@ def _gravity() -> Any:
     return SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=planets))
 
 
-def _users(model: type) -> list[type]:
-    """Return the classes among the bases of a model that users have written."""
-    return [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins", "types", "abc")]
-
-
 def is_set_up_by_user(model: type) -> bool:
     """Return whether a class of users defines a method that sets up a model, or one of its tasks."""
     names = ("setup_", "_setup_")
     return any(
         name.startswith(names) or (inspect.isclass(value) and issubclass(value, Task))
-        for owner in _users(model)
+        for owner in classes_of_users(model)
         for name, value in vars(owner).items()
     )
 
@@ -300,7 +295,7 @@ def changed_arguments(model: type, args: Mapping[str, Any], satellite: Any = Non
     whole._run(run, args)
     changed = whole._finish(args)
     tasks = (getattr(model, name) for name in dir(model) if name.endswith("Task"))
-    for task in (task for task in tasks if _users(task)):
+    for task in (task for task in tasks if classes_of_users(task)):
         made = Setup(task, args, satellite, fsw=whole)
         made._set_up_all(args)
         changed |= made._finish(args)

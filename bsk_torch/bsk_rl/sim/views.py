@@ -21,6 +21,7 @@ from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command
 from bsk_torch.bsk_rl.sim.engine import SKY, row_mask
+from bsk_torch.bsk_rl.sim.models import classes_of_users
 from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
 from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
 from bsk_torch.sats.bound import SatelliteFleet
@@ -79,8 +80,9 @@ class _Overridden:
 @cache
 def _overriding(view: type, model: type) -> type:
     """Return the class of views of a model: ``view`` itself, or a subclass where the user's model defines some of its members."""
-    users = [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins")]
-    names = {name for owner in users for name in vars(owner) if not name.startswith("_") and hasattr(view, name)}
+    names = {
+        name for owner in classes_of_users(model) for name in vars(owner) if not name.startswith("_") and hasattr(view, name)
+    }
     return type(view.__name__, (view,), {name: _Overridden(name) for name in names}) if names else view
 
 
