@@ -135,7 +135,7 @@ class Alone(gymnasium.Wrapper[object, object, object, object]):
             return env.reset(seed=drawn, options=options)
 
     @override
-    def step(self, action: Any) -> Any:
+    def step(self, action: object) -> Any:
         with self.alone() as env:
             return env.step(action)
 

@@ -112,9 +112,9 @@ class ImageRSO(DiscreteAction):
             )
         if len(observed.targets) < self.n_actions:
             raise ValueError(f"{len(observed.targets)} candidates were observed; {self.name} has {self.n_actions} actions")
-        if observed.targets[action] is None:
+        if (target := observed.targets[action]) is None:
             raise ValueError(f"action={action} of {self.name} is an empty candidate; there are not as many eligible targets")
-        return self._image(observed.targets[action].id)
+        return self._image(target.id)
 
     def set_action_override(self, action: object, prev_action_key: object = None) -> str:
         """Image a target given by its id, or as an object with an ``id``; TypeError for something else."""

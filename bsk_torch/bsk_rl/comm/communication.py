@@ -33,7 +33,7 @@ class CommunicationMethod(ABC, Resetable):
         last_communication_time: Time of the last one, s.
     """
 
-    satellites: list[Any]
+    satellites: list[Satellite]
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate after steps, but not less than ``min_period`` s after the last communication."""

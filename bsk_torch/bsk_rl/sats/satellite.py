@@ -76,7 +76,7 @@ class Satellite(ABC, ResetableGroup):
         return compose(cls._given("fsw_type"), FSWModel, cls.__name__)
 
     @classmethod
-    def _given(cls, name: str) -> Any:
+    def _given(cls, name: str) -> object:
         if not hasattr(cls, name):
             raise AttributeError(f"{cls.__name__} must set {name}")
         return getattr(cls, name)

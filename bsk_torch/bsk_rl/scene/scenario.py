@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
 
@@ -19,7 +19,7 @@ class Scenario(ABC, Resetable):
         utc_init: Epoch of the episode, set before :meth:`reset_pre_sim_init`.
     """
 
-    satellites: list[Any]
+    satellites: list[Satellite]
     utc_init: str
 
     def link_satellites(self, satellites: list[Satellite]) -> None:

@@ -224,7 +224,7 @@ def _own_values(satellite: Any) -> dict[str, object]:
     return values
 
 
-def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, Any]:
+def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, object]:
     return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
 
 

@@ -75,7 +75,7 @@ class View(Protocol):
 class Message:
     """A message: :meth:`read` returns what it holds now."""
 
-    def __init__(self, read: Callable[[], Mapping[str, Any]], write: Callable[[Any], None] | None = None) -> None:
+    def __init__(self, read: Callable[[], Mapping[str, object]], write: Callable[[Any], None] | None = None) -> None:
         """Read with a function, and write with another one if the message can be written."""
         self._read, self._write = read, write
 
@@ -134,7 +134,7 @@ class Module(NamedTuple):
     needs: str = "r_BN_N"
 
 
-def read_of(view: Any, attributes: Mapping[str, Callable[[Any], Any]], name: str) -> Any:
+def read_of(view: object, attributes: Mapping[str, Callable[[Any], object]], name: str) -> Any:
     """Return an attribute of a module of a model; AttributeError with advice for one that cannot be read."""
     if name not in attributes:
         raise AttributeError(unreadable(name, "a module", attributes))

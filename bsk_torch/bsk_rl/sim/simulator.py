@@ -325,7 +325,7 @@ class Simulator:
         fleet.since = torch.tensor([self._now])
         longest = self._now + self.tick_at(self.max_step_duration)
         last = min(longest, limit)
-        images: Sequence[Any] = [None] * len(fleet.satellites)
+        images: Sequence[object] = [None] * len(fleet.satellites)
         until = self._now
         while self._now < limit:
             imaged = any(self._is_due(event, images) for event in self.eventMap.values() if event.image_of is not None)

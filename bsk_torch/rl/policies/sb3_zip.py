@@ -158,7 +158,7 @@ def _fault(archive: Archive) -> str:
     return ""
 
 
-def _space(data: Mapping[str, Any], name: str) -> str:
+def _space(data: Mapping[str, object], name: str) -> str:
     """Return the class of a space."""
     space = data.get(name)
     return str(space.get(":type:", "")).rpartition(".")[2].removesuffix("'>") if isinstance(space, dict) else ""
@@ -247,7 +247,7 @@ class NormalizedModel(ModelPolicy):
     statistics: Any = None
 
     @override
-    def _inputs(self, observation: Any) -> object:
+    def _inputs(self, observation: object) -> object:
         inputs = super()._inputs(observation)
         return inputs if self.statistics is None else self.statistics.normalize_obs(inputs)
 
