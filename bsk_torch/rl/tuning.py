@@ -241,7 +241,6 @@ def _spread(values: Range, lots: Tensor) -> Tensor:
 
 
 def _lies_in(default: float | None, values: Range) -> bool:
-    """Return whether a default is one of the values of a range."""
     if not isinstance(default, int | float):
         return False
     return values[0] <= default <= values[1] if isinstance(values, tuple) else default in values

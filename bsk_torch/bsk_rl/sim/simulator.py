@@ -348,7 +348,6 @@ class Simulator:
                 part.memory.touch()
 
     def _limit(self) -> tuple[torch.Tensor, int]:
-        """Return the time limit in ticks."""
         if self._limited[0] != self.time_limit:
             ticks = whole_limit(torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64), self._et, self._h_ns)[0]
             self._limited = self.time_limit, ticks, int(ticks)

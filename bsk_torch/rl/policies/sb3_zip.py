@@ -159,13 +159,11 @@ def _fault(archive: Archive) -> str:
 
 
 def _space(data: Mapping[str, object], name: str) -> str:
-    """Return the class of a space."""
     space = data.get(name)
     return str(space.get(":type:", "")).rpartition(".")[2].removesuffix("'>") if isinstance(space, dict) else ""
 
 
 def _activation(archive: Archive) -> str:
-    """Return the class of the activation."""
     chosen = archive.data["policy_kwargs"].get("activation_fn")
     return ACTORS[archive.module].activation if chosen is None else str(chosen).rpartition(".")[2].removesuffix("'>")
 

@@ -398,7 +398,6 @@ def _alike(state: Any, other: Any) -> bool:
 
 
 def _finite(state: dict[str, Any] | Tensor) -> bool:
-    """Return whether all tensors of nested dictionaries are finite."""
     return all(map(_finite, state.values())) if isinstance(state, dict) else bool(state.isfinite().all())
 
 
