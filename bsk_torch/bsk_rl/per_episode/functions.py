@@ -39,7 +39,7 @@ def per_episode(function: Callable[..., object]) -> Callable[..., Tree]:
         lead = (len(satellite.simulator.ticks),) if opportunities is None else tuple(opportunities.open.shape)
         device = satellite.simulator.device
 
-        def one(row: int) -> Any:
+        def one(row: int) -> object:
             view = view_of(satellite, row)
             if opportunities is not None:
                 return [function(view, each) for each in view.of_windows(opportunities.type, opportunities, padding=True)]
