@@ -4,7 +4,6 @@ import ast
 import gzip
 import io
 import json
-import os
 import pickle
 import shutil
 import zipfile
@@ -16,20 +15,11 @@ from tensordict import NonTensorData, TensorDict
 
 from bsk_torch.lab.offline import open_dataset
 from bsk_torch.untrusted import MOST_ERRORS, Json, gunzip, parse_json, read_memmap, read_tensors
+from tests.support.evil import Evil
 from tests.support.readers import CARD, readers, write_dataset_rows
 from tests.support.refusals import check_refusals, refusal
 
 PACKAGE = Path(__file__).parents[1] / "bsk_torch"
-
-
-class Evil:
-    """Makes a folder when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = str(path)
-
-    def __reduce__(self):
-        return os.mkdir, (self.path,)
 
 
 def planted(made):

@@ -54,9 +54,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["BatchedVectorEnv", "NotBatchedError", "batched_core"]
-
-
 class NotBatchedError(TypeError):
     """A program that cannot be one batched simulation; the message states the reason."""
 
@@ -128,7 +125,7 @@ ADAPTED = ". vectorize='batched' runs custom rewarders and targets for each epis
 LINKS = {"satellite", "satellites", "scenario", "backend"}
 """Attributes that an environment sets before its first reset."""
 
-ADAPTERS: dict[str, Callable[[Any], Any]] = {
+ADAPTERS: dict[str, Callable[[Any], object]] = {
     "reward_fn": lambda function: partial(of_each, function),
     "resource_fn": per_episode,
 }
@@ -210,7 +207,7 @@ def observed_entries(observation: object) -> list[dict[str, object]]:
     return entries
 
 
-def changed_arguments(values: Mapping[str, object], defaults: Mapping[str, object]) -> dict[str, Any]:
+def changed_arguments(values: Mapping[str, object], defaults: Mapping[str, object]) -> dict[str, object]:
     """Return the arguments whose values differ from their defaults, as the core takes them."""
     return {name: DRAWS.get(value, value) if callable(value) else value
             for name, value in values.items() if not _same(value, defaults.get(name))}  # fmt: skip

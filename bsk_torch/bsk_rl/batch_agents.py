@@ -21,8 +21,6 @@ from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.core import as_numpy, begin
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
-__all__ = ["AgentsVector", "BatchedAgentsVectorEnv"]
-
 ByAgent = dict[Any, Any]
 """Arrays [N, ...] by agent."""
 

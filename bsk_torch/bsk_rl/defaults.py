@@ -23,8 +23,6 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Distribution
 from bsk_torch.sim.component import Arg, Component
 
-__all__ = ["sat_defaults", "world_defaults"]
-
 RANDOM: dict[str, Callable[[], object]] = {
     "utc_init": random_epoch,
     "oe": random_orbit,

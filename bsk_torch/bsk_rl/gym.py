@@ -342,7 +342,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    def _step(self, actions: Any) -> None:
+    def _step(self, actions: Sequence[object]) -> None:
         if len(actions) != len(self.satellites):
             raise ValueError("There must be the same number of actions and satellites")
         for satellite, action in zip(self.satellites, actions, strict=True):
@@ -421,7 +421,7 @@ class SatelliteTasking(GeneralSatelliteTasking[SatObs, SatAct]):
         self._know_observations()
         return self.satellite.observation_space
 
-    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+    def step(self, action: object) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Carry out an action until an event ends the step."""
         return super().step([action])
 
@@ -551,7 +551,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     # -- what a step gives --------------------------------------------------------------------------------------------
 
-    def _get_obs(self) -> dict[Any, Any]:
+    def _get_obs(self) -> dict[object, object]:
         observations = {}
         for agent, members in self._present().items():
             if self.generate_obs_retasking_only and not any(member.requires_retasking for member in members):
@@ -561,21 +561,21 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
             observations[agent] = parts[0] if len(parts) == 1 else np.concatenate(parts)
         return observations
 
-    def _get_reward(self) -> dict[Any, float]:
+    def _get_reward(self) -> dict[object, float]:
         rewards = {self.get_satellite(name): reward for name, reward in self.reward_dict.items()}
         for satellite in self.satellites:
             if not satellite.is_alive():
                 rewards[satellite] = rewards.get(satellite, 0.0) + self.failure_penalty
         return {agent: sum(rewards.get(satellite, 0.0) for satellite in members) for agent, members in self._present().items()}
 
-    def _get_terminated(self) -> dict[Any, bool]:
+    def _get_terminated(self) -> dict[object, bool]:
         late = self.terminate_on_time_limit and super()._get_truncated()
         return {
             agent: late or any(not s.is_alive() or self.rewarder.is_terminated(s) for s in members)
             for agent, members in self._present().items()
         }
 
-    def _get_truncated(self) -> dict[Any, bool]:
+    def _get_truncated(self) -> dict[object, bool]:
         late = super()._get_truncated()
         return {
             agent: late or any(self.rewarder.is_truncated(satellite) for satellite in members)
@@ -613,7 +613,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
     def step(self, actions: Mapping[Any, Any]) -> tuple[Any, Any, Any, Any, dict[Any, Any]]:
         """Carry out the actions of agents, by agent, until the first event that ends the step."""
         logger.info("=== STARTING STEP ===")
-        before, chosen = self.agents, dict[Satellite, Any]()
+        before, chosen = self.agents, dict[Satellite, object]()
         for agent, action in actions.items():
             if len(self.meta_agent_groupings[agent]) > 1:
                 logger.info("Decomposing action for meta agent %s", agent)

@@ -27,8 +27,6 @@ from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, say
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
-__all__ = ["AgentsVectorEnv", "Alone", "EpisodesVectorEnv", "vector_form"]
-
 logger = logging.getLogger(__name__)
 
 FASTER = "docs/migration_fast.md lists what to change for one simulation of all"
@@ -137,7 +135,7 @@ class Alone(gymnasium.Wrapper[object, object, object, object]):
             return env.reset(seed=drawn, options=options)
 
     @override
-    def step(self, action: Any) -> Any:
+    def step(self, action: object) -> Any:
         with self.alone() as env:
             return env.step(action)
 

@@ -143,7 +143,7 @@ class DurationGAE(_ByDuration, GAE):
         self.set_keys(steps_to_next_obs=("next", "duration"))
 
     @override
-    def forward(self, tensordict: TensorDictBase, **options: Any) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase, **options: object) -> TensorDictBase:
         """Write ``advantage`` and ``value_target`` [..., T, 1]; arguments as in TorchRL."""
         reward, seconds = ("next", self.tensor_keys.reward), self.tensor_keys.steps_to_next_obs
         return tensordict.update(super().forward(self._by_duration(tensordict), **options).exclude(reward, seconds))

@@ -82,7 +82,7 @@ class DurationReplayBuffer(ReplayBuffer):
         >>> DQN("MlpPolicy", env, **kept).learn(100_000)
     """
 
-    def __init__(self, *args: Any, gamma: float, **options: Any) -> None:
+    def __init__(self, *args: object, gamma: float, **options: object) -> None:
         """Discount by ``gamma`` per second; other arguments are those of Stable-Baselines3."""
         super().__init__(*args, **options)
         self.gamma = gamma

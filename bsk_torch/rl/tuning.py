@@ -77,7 +77,7 @@ class Tuned:
 class RowThresholds(FunctionPolicy):
     """A rule whose thresholds differ between rows."""
 
-    def __init__(self, rule: Callable[..., Any], satellite: SatelliteGroup, names: Sequence[str]) -> None:
+    def __init__(self, rule: Callable[..., object], satellite: SatelliteGroup, names: Sequence[str]) -> None:
         """Call ``rule`` for ``satellite`` with the thresholds ``names`` of the rows."""
         super().__init__(partial(rule, **dict.fromkeys(names, 0.0)), satellite, len(positional(rule)) == 2)
         self.function, self.names = rule, names
@@ -88,12 +88,12 @@ class RowThresholds(FunctionPolicy):
         self.thresholds = {name: tensordict[THRESHOLD, name] for name in self.names}
         return super().forward(tensordict)
 
-    def _result(self, inputs: Any, *mask: Tensor) -> object:
+    def _result(self, inputs: object, *mask: Tensor) -> object:
         return self.function(inputs, *mask, **self.thresholds)
 
 
 def tune(
-    rule: str | ScanRule | Callable[..., Any],
+    rule: str | ScanRule | Callable[..., object],
     env: Tasking,
     ranges: Mapping[str, Range],
     *,
@@ -189,7 +189,7 @@ class _Flights:
         return self.policy(tensordict)
 
 
-def _tunable(rule: object, satellite: SatelliteGroup) -> tuple[Callable[..., Any], dict[str, float | None]]:
+def _tunable(rule: object, satellite: SatelliteGroup) -> tuple[Callable[..., Tensor], dict[str, float | None]]:
     """Return a rule as a function with thresholds, and their defaults; None for one without a default."""
     if isinstance(rule, str):
         if rule not in THRESHOLDS:
@@ -241,7 +241,6 @@ def _spread(values: Range, lots: Tensor) -> Tensor:
 
 
 def _lies_in(default: float | None, values: Range) -> bool:
-    """Return whether a default is one of the values of a range."""
     if not isinstance(default, int | float):
         return False
     return values[0] <= default <= values[1] if isinstance(values, tuple) else default in values

@@ -3,6 +3,8 @@
 import logging
 from types import SimpleNamespace
 
+from bsk_torch.bsk_rl.scene import UniformTargets
+from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.fsw import ImagingFSWModel
 
@@ -67,3 +69,20 @@ def begin(rewarder, scenario, satellites):
 def step(rewarder, satellites):
     """Return the reward of a step."""
     return rewarder.reward({satellite.name: satellite.data_store.update_from_logs() for satellite in satellites})
+
+
+class Copied(UniformTargets):
+    """Targets at given places."""
+
+    def __init__(self, r_LP_P, priority):
+        super().__init__(len(priority))
+        self.given = list(zip(r_LP_P, priority, strict=True))
+
+    def regenerate_targets(self):
+        self.targets = [Target(f"tgt-{k}", *place) for k, place in enumerate(self.given)]
+
+
+def targets_of(vector, k):
+    """Return the targets of environment ``k`` of a batch."""
+    there = vector.core.scenario.drawn("target_exists")[k].bool()
+    return Copied(*(getattr(vector.core.scenario, name)[k][there].numpy() for name in ("r_LP_P", "priority")))

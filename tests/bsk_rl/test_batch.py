@@ -8,10 +8,10 @@ import pytest
 
 from bsk_torch.bsk_rl import GeneralSatelliteTasking, SatelliteTasking, act, comm, data, obs, sats, scene
 from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError
-from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.sim import dyn, fsw
 from bsk_torch.bsk_rl.utils.orbital import random_circular_orbit, random_orbit
 from bsk_torch.bsk_rl.vector import EpisodesVectorEnv
+from tests.bsk_rl.fakes import Copied, targets_of
 from tests.support.refusals import check_refusals, refusal
 
 N, SEED = 4, 3
@@ -124,17 +124,6 @@ def customized(satellite=None, scenario=None, **options):
     )
 
 
-class Copied(scene.UniformTargets):
-    """Targets at given places."""
-
-    def __init__(self, r_LP_P, priority):
-        super().__init__(len(priority))
-        self.given = list(zip(r_LP_P, priority, strict=True))
-
-    def regenerate_targets(self):
-        self.targets = [Target(f"tgt-{k}", *place) for k, place in enumerate(self.given)]
-
-
 def single_like(vector, k, make):
     """Return a single environment whose episode begins as that of environment ``k`` of a batch."""
     one = vector.get_attr("satellite")[k]
@@ -146,8 +135,7 @@ def single_like(vector, k, make):
     drawn |= dict(oe=None, rN=one.dynamics.r_BN_N, vN=one.dynamics.v_BN_N)
     options = dict(time_limit=float(vector.core.time_limit[k]))
     if make is not scanning:
-        there = vector.core.scenario.drawn("target_exists")[k].bool()
-        options["scenario"] = Copied(*(getattr(vector.core.scenario, name)[k][there].numpy() for name in ("r_LP_P", "priority")))
+        options["scenario"] = targets_of(vector, k)
     generation = {} if make is scanning else {"generation_duration": 300.0}
     return make(kind(one.name, drawn, **generation), **options)
 

@@ -7,10 +7,10 @@ from gymnasium.error import ResetNeeded
 from bsk_torch.bsk_rl import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_torch.bsk_rl.batch import NotBatchedError
 from bsk_torch.bsk_rl.batch_agents import BatchedAgentsVectorEnv
-from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.sim import dyn, fsw
 from bsk_torch.bsk_rl.utils.orbital import walker_delta_args
 from bsk_torch.bsk_rl.vector import AgentsVectorEnv
+from tests.bsk_rl.fakes import targets_of
 from tests.support.refusals import check_refusals, refusal
 
 N, SEED = 4, 2
@@ -58,17 +58,6 @@ def make(satellites=None, scenario=None, **options):
     )
 
 
-class Copied(scene.UniformTargets):
-    """Targets at given places."""
-
-    def __init__(self, r_LP_P, priority):
-        super().__init__(len(priority))
-        self.given = list(zip(r_LP_P, priority, strict=True))
-
-    def regenerate_targets(self):
-        self.targets = [Target(f"tgt-{k}", *place) for k, place in enumerate(self.given)]
-
-
 def single_like(vector, k):
     """Return a single environment whose episode begins as that of environment ``k`` of a batch."""
     made = []
@@ -77,9 +66,7 @@ def single_like(vector, k):
         functions = [name for name, value in kind.default_sat_args(**given).items() if callable(value)]
         drawn = given | {name: one.sat_args[name] for name in functions}
         made.append(kind(one.name, drawn | dict(oe=None, rN=one.dynamics.r_BN_N, vN=one.dynamics.v_BN_N)))
-    there = vector.core.scenario.drawn("target_exists")[k].bool()
-    places = (getattr(vector.core.scenario, name)[k][there].numpy() for name in ("r_LP_P", "priority"))
-    return make(made, Copied(*places))
+    return make(made, targets_of(vector, k))
 
 
 @pytest.mark.compiled

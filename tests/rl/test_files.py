@@ -13,6 +13,7 @@ import torch
 import bsk_torch
 from bsk_torch.files import sweep, write_file
 from bsk_torch.rl.policies.checksummed import CHECKSUM_MARK, load_checksummed, save_checksummed
+from tests.support.evil import Evil
 from tests.support.refusals import check_refusals, refusal
 
 PACKAGE = Path(bsk_torch.__file__).parent
@@ -146,22 +147,12 @@ def test_files_of_release_0_1_are_read_with_a_warning_and_their_parts_compared(t
     check_refusals(refusal(lambda: load_checksummed(path, "policy"), ValueError, "damaged"))
 
 
-class Runs:
-    """Pickled, it makes a folder when it is read."""
-
-    def __init__(self, path):
-        self.path = str(path)
-
-    def __reduce__(self):
-        return os.mkdir, (self.path,)
-
-
 def test_nothing_in_a_file_is_executed(tmp_path):
     path, made = tmp_path / "x.pt", tmp_path / "made"
-    contents = [pickle.dumps(Runs(made))]
-    torch.save({"n": Runs(made)}, path)
+    contents = [pickle.dumps(Evil(made))]
+    torch.save({"n": Evil(made)}, path)
     contents.append(path.read_bytes())
-    save_checksummed(path, {"n": Runs(made)})  # a checksum tells damage, not origin
+    save_checksummed(path, {"n": Evil(made)})  # a checksum tells damage, not origin
     contents.append(path.read_bytes())
     for content in contents:
         path.write_bytes(content)

@@ -1,7 +1,6 @@
 """One loader for policies of all libraries: their actions, and errors before code in files is executed."""
 
 import json
-import os
 import pickle
 import zipfile
 from importlib.util import find_spec
@@ -15,6 +14,7 @@ import bsk_torch
 from bsk_torch.rl.policies.loading import UntrustedError, read_policy
 from bsk_torch.rl.policies.sb3_zip import pickled_parts
 from bsk_torch.wrappers.policies import policy_of_one
+from tests.support.evil import Evil
 from tests.support.outside_policies import (
     ACTIONS,
     MODULE,
@@ -284,16 +284,6 @@ def test_damaged_files_are_named(env, tmp_path):
         refusal(lambda: bsk_torch.load_policy("plan:rolout", env), ValueError, "rolout", "plan:rollout"),
         refusal(lambda: bsk_torch.load_policy("rull", env), ValueError, "'rull'", "'rule'"),
     )
-
-
-class Evil:
-    """Makes a folder when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = str(path)
-
-    def __reduce__(self):
-        return os.mkdir, (self.path,)
 
 
 def test_nothing_is_executed_without_trust(env, tmp_path, monkeypatch):

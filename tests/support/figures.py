@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import contextmanager
 from itertools import combinations
 
 from matplotlib.text import Text
@@ -17,23 +18,39 @@ def media_width(path):
     return float(re.search(rb"/MediaBox \[ *\S+ +\S+ +(\S+)", path.read_bytes())[1]) / 72.0
 
 
-def check_column(draw, drawn, folder, title=""):
-    """Draw what is ``drawn`` with a function at both widths; in a column, texts are legible, whole, and apart from each other."""
-    kept, module = [], sys.modules[draw.__module__]
+@contextmanager
+def saved(draw):
+    """The figures that a function saves meanwhile."""
+    figures, module = [], sys.modules[draw.__module__]
     save = module.save
 
     def keep(figure, path):
-        kept.append(figure)
+        figures.append(figure)
         return save(figure, path)
 
     module.save = keep
     try:
+        yield figures
+    finally:
+        module.save = save
+
+
+def figure_of(draw, drawn, path, title):
+    """Draw what is ``drawn`` with a function to a PNG; its figure."""
+    with saved(draw) as figures:
+        content = draw(drawn, path, title).read_bytes()
+    assert content[:4] == b"\x89PNG"
+    assert len(content) > 10_000
+    return figures[-1]
+
+
+def check_column(draw, drawn, folder, title=""):
+    """Draw what is ``drawn`` with a function at both widths; in a column, texts are legible, whole, and apart from each other."""
+    with saved(draw) as figures:
         for width in (WIDTH, COLUMN):
             path = draw(*drawn, folder / f"{draw.__name__}_{width}.pdf", title=title, width=width)
             assert abs(media_width(path) - width) < 1e-3
-    finally:
-        module.save = save
-    assert not (found := unreadable(kept[-1])), found
+    assert not (found := unreadable(figures[-1])), found
 
 
 def unreadable(figure):

@@ -16,9 +16,7 @@ from bsk_torch.formations import walker_delta
 from bsk_torch.recording.table import Tasks
 from bsk_torch.viz.figures import constellation as pictures
 from bsk_torch.viz.figures.style import PALETTE
-from tests.support.figures import check_column
-
-PNG = b"\x89PNG"
+from tests.support.figures import check_column, figure_of
 
 
 def flown(oe: torch.Tensor, times: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -67,24 +65,9 @@ def episode():
 
 
 @pytest.fixture
-def drawn(tmp_path, monkeypatch):
+def drawn(tmp_path):
     """Draws an episode; its figure."""
-    kept = []
-
-    def keep(figure, path):
-        kept.append(figure)
-        return save(figure, path)
-
-    save = pictures.save
-    monkeypatch.setattr(pictures, "save", keep)
-
-    def draw(episode) -> Figure:
-        path = pictures.constellation_figure(episode, tmp_path / "constellation.png", "Walker")
-        assert path.read_bytes()[:4] == PNG
-        assert path.stat().st_size > 10_000
-        return kept[-1]
-
-    return draw
+    return lambda episode: figure_of(pictures.constellation_figure, episode, tmp_path / "constellation.png", "Walker")
 
 
 def legend(figure: Figure) -> list[str]:

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["Action", "ActionBuilder", "select_action_builder"]
-
-
 def select_action_builder(satellite: Satellite) -> ActionBuilder:
     """Return the builder of a satellite's actions.
 

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["AttitudeSetpoint", "ContinuousAction", "ContinuousActionBuilder", "ImpulsiveThrust", "ImpulsiveThrustHill"]
-
-
 class ContinuousActionBuilder(ActionBuilder):
     """Passes the values of an action to the only entry of the specification."""
 

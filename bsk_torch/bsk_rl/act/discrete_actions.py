@@ -17,20 +17,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = [
-    "Broadcast",
-    "Charge",
-    "Desat",
-    "DiscreteAction",
-    "DiscreteActionBuilder",
-    "DiscreteFSWAction",
-    "Downlink",
-    "Drift",
-    "Image",
-    "NadirPoint",
-    "Scan",
-]
-
 logger = logging.getLogger(__name__)
 
 

@@ -10,8 +10,6 @@ from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot
 from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.objects.act import HOLD_MODES
 
-__all__ = ["ImageRSO"]
-
 
 class ImageRSO(DiscreteAction):
     """Images one of the first candidates of a scenario :class:`~bsk_torch.bsk_rl.scene.RSOTargets`, in their order.
@@ -114,9 +112,9 @@ class ImageRSO(DiscreteAction):
             )
         if len(observed.targets) < self.n_actions:
             raise ValueError(f"{len(observed.targets)} candidates were observed; {self.name} has {self.n_actions} actions")
-        if observed.targets[action] is None:
+        if (target := observed.targets[action]) is None:
             raise ValueError(f"action={action} of {self.name} is an empty candidate; there are not as many eligible targets")
-        return self._image(observed.targets[action].id)
+        return self._image(target.id)
 
     def set_action_override(self, action: object, prev_action_key: object = None) -> str:
         """Image a target given by its id, or as an object with an ``id``; TypeError for something else."""

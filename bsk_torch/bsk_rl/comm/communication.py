@@ -19,16 +19,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = [
-    "BroadcastCommunication",
-    "CommunicationMethod",
-    "FreeCommunication",
-    "LOSCommunication",
-    "LOSMultiCommunication",
-    "MultiDegreeCommunication",
-    "NoCommunication",
-]
-
 logger = logging.getLogger(__name__)
 
 Pairs = list[tuple[Any, Any]]
@@ -43,7 +33,7 @@ class CommunicationMethod(ABC, Resetable):
         last_communication_time: Time of the last one, s.
     """
 
-    satellites: list[Any]
+    satellites: list[Satellite]
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate after steps, but not less than ``min_period`` s after the last communication."""

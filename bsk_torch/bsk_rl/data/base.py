@@ -10,8 +10,6 @@ from typing import Any
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.utils.functional import Resetable
 
-__all__ = ["Data", "DataStore", "GlobalReward"]
-
 logger = logging.getLogger(__name__)
 
 LogStateType = Any
@@ -43,7 +41,7 @@ class DataStore(ABC):
 
     data_type: type[Data]
 
-    def __init__(self, satellite: Any, initial_data: Any = None) -> None:
+    def __init__(self, satellite: Any, initial_data: object = None) -> None:
         """Store the data of a satellite, which begins with ``initial_data``; None for none."""
         self.satellite = satellite
         self.staged_data: list[object] = []

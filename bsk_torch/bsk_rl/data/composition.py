@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "MixedDataStore", "MixedReward"]
-
 logger = logging.getLogger(__name__)
 
 

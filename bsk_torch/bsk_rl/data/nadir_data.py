@@ -8,8 +8,6 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 
-__all__ = ["ScanningTime", "ScanningTimeReward", "ScanningTimeStore"]
-
 
 class ScanningTime(Data):
     """Time for which the instrument has recorded, s."""

@@ -6,8 +6,6 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 
-__all__ = ["NoData", "NoDataStore", "NoReward"]
-
 
 class NoData(Data):
     """Empty data."""

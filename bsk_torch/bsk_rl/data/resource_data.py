@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["ResourceData", "ResourceDataStore", "ResourceReward"]
-
-
 def nothing(satellite: object) -> float:
     """Return zero, the quantity of a rewarder that is given none."""
     return 0.0

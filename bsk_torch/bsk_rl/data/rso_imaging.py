@@ -14,10 +14,14 @@ from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 from bsk_torch.tasks.objects.reward import LEAST_BITS, SAME_TIME
 from bsk_torch.tasks.objects.team_reward import STAGES
 
-__all__ = ["RSOImageData", "RSOImageReward", "RSOImageStore"]
-
 Records = dict[str, RSOImageRecord]
 """Images by ``record_id``."""
+
+Log = tuple[dict[str, float], tuple[RSOImageRecord, ...]]
+"""Level of each partition, bit, and all images taken in the episode."""
+
+Service = tuple[tuple[str, str], tuple[str, int]]
+"""Id of a target with the name of the imager that is paid, if not all are, and the target's service by its number."""
 
 RewardFunction = Callable[[RSOImageRecord, Any], float]
 """Value of an image, given also its target with its present ``priority``."""
@@ -65,8 +69,8 @@ class RSOImageStore(DataStore):
         self.remaining_bits: dict[str, float] = {}
         self.is_imager = scenario is not None and satellite.name in scenario.imager_names
 
-    def get_log_state(self) -> tuple[dict[str, float], tuple[RSOImageRecord, ...]]:
-        """Return the level of each partition, bit, and all images taken in the episode."""
+    def get_log_state(self) -> Log:
+        """See :meth:`DataStore.get_log_state`."""
         if not self.is_imager:
             return {}, ()
         capture = self.satellite.fsw.rso_capture
@@ -74,7 +78,7 @@ class RSOImageStore(DataStore):
         message = self.satellite.dynamics.storageUnit.storageUnitDataOutMsg.read()
         return dict(zip(message.storedDataName, message.storedData, strict=False)), tuple(capture.records)
 
-    def compare_log_states(self, old_state: Any, new_state: Any) -> RSOImageData:
+    def compare_log_states(self, old_state: Log, new_state: Log) -> RSOImageData:
         """Return the images taken in the step, and those whose downlink it completes.
 
         Raises:
@@ -179,8 +183,8 @@ class RSOImageReward(GlobalReward):
         super().reset_overwrite_previous()
         self._service_of: dict[str, tuple[str, int]] = {}
         self._services: dict[str, int] = {}
-        self._paid: dict[str, set[Any]] = {stage: set() for stage in STAGES}
-        self._last: dict[str, dict[Any, float]] = {stage: {} for stage in STAGES}
+        self._paid: dict[str, set[Service]] = {stage: set() for stage in STAGES}
+        self._last: dict[str, dict[tuple[str, str], float]] = {stage: {} for stage in STAGES}
         self.last_reward_components: dict[str, dict[str, float]] = {stage: {} for stage in STAGES}
 
     def calculate_reward(self, new_data_dict: dict[str, RSOImageData]) -> dict[str, float]:
@@ -228,7 +232,7 @@ class RSOImageReward(GlobalReward):
     def _credit(
         self, stage: str, reward_fn: RewardFunction, records: list[RSOImageRecord], names: Iterable[str]
     ) -> dict[str, float]:
-        reward, last, groups = dict.fromkeys(names, 0.0), self._last[stage], defaultdict[Any, list[RSOImageRecord]](list)
+        reward, last, groups = dict.fromkeys(names, 0.0), self._last[stage], defaultdict[Service, list[RSOImageRecord]](list)
         for record in records:
             if record.quality >= self.quality_threshold:
                 imager = record.source_imager if self.multi_imager_credit == "per_imager" else ""

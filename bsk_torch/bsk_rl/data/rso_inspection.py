@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["RSOInspectionData", "RSOInspectionDataStore", "RSOInspectionReward"]
-
 logger = logging.getLogger(__name__)
 
 RSO = "rso"

@@ -13,8 +13,6 @@ from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.sim.places import is_target
 
-__all__ = ["UniqueImageData", "UniqueImageReward", "UniqueImageStore"]
-
 
 class UniqueImageData(Data):
     """Targets that have been imaged.
@@ -74,6 +72,7 @@ class HideImaged:
         self.store = store
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:
+        """Return whether an opportunity is none of these."""
         return not is_target(opportunity["type"]) or opportunity["object"] not in self.store.data.imaged
 
 

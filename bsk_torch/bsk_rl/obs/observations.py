@@ -19,19 +19,9 @@ from bsk_torch.bsk_rl.utils.functional import Part, ResetableGroup, numbers_of, 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
+    from bsk_torch.bsk_rl.sats.access_satellite import Opportunity
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
-
-__all__ = [
-    "Eclipse",
-    "Observation",
-    "ObservationBuilder",
-    "OpportunityProperties",
-    "ResourceRewardWeight",
-    "SatProperties",
-    "Time",
-    "nested_obs_to_space",
-]
 
 logger = logging.getLogger(__name__)
 
@@ -118,7 +108,7 @@ class ObservationBuilder(ResetableGroup):
             self.obs_cache_time = self.simulator.sim_time
         return self.obs_dict_cache
 
-    def obs_ndarray(self) -> Any:
+    def obs_ndarray(self) -> np.ndarray:
         """Return the observations as one vector."""
         return numbers_of(self._obs_dict())
 
@@ -132,7 +122,7 @@ class ObservationBuilder(ResetableGroup):
 
     def get_obs(self) -> object:
         """Return the observations in the form of ``obs_type``; ValueError for an unknown one."""
-        forms: dict[Any, Callable[[], Any]] = {dict: self.obs_dict, np.ndarray: self.obs_ndarray, list: self.obs_list}
+        forms: dict[type, Callable[[], object]] = {dict: self.obs_dict, np.ndarray: self.obs_ndarray, list: self.obs_list}
         if self.obs_type not in forms:
             raise ValueError(f"Invalid observation type: {self.obs_type}; valid are dict, np.ndarray and list")
         return forms[self.obs_type]()
@@ -225,31 +215,31 @@ class Time(Observation):
         return (self.simulator.time_limit - now if self.return_time_remaining else now) / self._norm
 
 
-def _places(opportunities: Sequence[Any]) -> np.ndarray:
+def _places(opportunities: Sequence[Opportunity]) -> np.ndarray:
     return np.array([opportunity["object"].r_LP_P for opportunity in opportunities], dtype=float)
 
 
-def _target_angles(satellite: Any, opportunities: Sequence[Any]) -> Any:
+def _target_angles(satellite: Satellite, opportunities: Sequence[Opportunity]) -> np.ndarray:
     lines_P = np.array([opportunity["r_LP_P"] for opportunity in opportunities]) - satellite.dynamics.r_BN_P
     return np.arccos(lines_P @ satellite.fsw.c_hat_P / np.linalg.norm(lines_P, axis=-1))
 
 
-def _target_angle_rates(satellite: Any, opportunities: Sequence[Any]) -> Any:
+def _target_angle_rates(satellite: Satellite, opportunities: Sequence[Opportunity]) -> np.ndarray:
     model = satellite.dynamics
     lines_P = _places(opportunities) - model.r_BN_P
     turning = np.cross(model.v_BN_P, lines_P) / (lines_P**2).sum(-1, keepdims=True)
     return np.linalg.norm(model.omega_BP_P - turning, axis=-1)
 
 
-def _lines_H(satellite: Any, opportunities: Sequence[Any]) -> Any:
+def _lines_H(satellite: Satellite, opportunities: Sequence[Opportunity]) -> np.ndarray:
     model = satellite.dynamics
     return (_places(opportunities) @ satellite.simulator.world.PN - np.array(model.r_BN_N)) @ np.array(model.HN).T
 
 
-def _of_one(function: Callable[[Any, Sequence[Any]], Any]) -> Callable[[Any, Any], Any]:
+def _of_one(function: Callable[[Satellite, Sequence[Opportunity]], np.ndarray]) -> Callable[[Satellite, Opportunity], object]:
     """Return the function of one opportunity that a function of several stands for."""
 
-    def of_one(satellite: Any, opportunity: Any) -> Any:
+    def of_one(satellite: Satellite, opportunity: Opportunity) -> object:
         return function(satellite, [opportunity])[0]
 
     of_one.of_all = function  # type: ignore[attr-defined]
@@ -259,7 +249,7 @@ def _of_one(function: Callable[[Any, Sequence[Any]], Any]) -> Callable[[Any, Any
 class OpportunityProperties(Observation):
     """Properties of the next opportunities."""
 
-    _fn_map: ClassVar[dict[str, Callable[[Any, Any], Any]]] = {
+    _fn_map: ClassVar[dict[str, Callable[[Satellite, Opportunity], object]]] = {
         "priority": lambda sat, opp: opp["object"].priority,
         "r_LP_P": lambda sat, opp: opp["r_LP_P"],
         "r_LB_H": _of_one(_lines_H),
@@ -301,7 +291,7 @@ class OpportunityProperties(Observation):
         columns = {entry["name"]: self._column(entry, opportunities) for entry in self.target_properties}
         return {f"{self.name}_{k}": {name: column[k] for name, column in columns.items()} for k in range(len(opportunities))}
 
-    def _column(self, entry: Entry, opportunities: Sequence[Any]) -> Any:
+    def _column(self, entry: Entry, opportunities: Sequence[Opportunity]) -> np.ndarray | list[object]:
         function, norm = entry["fn"], entry["norm"]
         if hasattr(function, "of_all") and opportunities:
             return function.of_all(self.satellite, opportunities) / norm

@@ -44,7 +44,6 @@ AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0,
 
 
 def _mrp(matrix: object) -> np.ndarray:
-    """Return the MRP [3] of a direction cosine matrix [3, 3]."""
     return dcm_to_mrp(Mat3.of(torch.as_tensor(np.asarray(matrix, dtype=float)))).stack().numpy()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot, illumination_
 from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.objects.obs import DEFAULT
 
-__all__ = ["RSOTargetProperties", "target_properties"]
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+    from bsk_torch.bsk_rl.scene.rso_targets import EpisodeTarget
 
 NOTHING: dict[str, object] = {
     "valid": 0.0,
@@ -29,7 +31,7 @@ NOTHING: dict[str, object] = {
 """Properties of a candidate that does not exist."""
 
 
-def target_properties(imager: Any, target: Any) -> dict[str, Any]:
+def target_properties(imager: Satellite, target: EpisodeTarget | None) -> dict[str, Any]:
     """Return what an imager sees of a target: zeros for None.
 
     ``target_elevation_angle`` and ``angle_to_target``, from the axis of the instrument, are degrees. ``rel_pos_vector_r_BR_H``,
@@ -83,12 +85,12 @@ class RSOTargetProperties(Observation):
         """Forget the candidates of the last episode."""
         self.satellite._rso_candidate_snapshot = None
 
-    def _candidates(self) -> tuple[Any, ...]:
+    def _candidates(self) -> tuple[EpisodeTarget | None, ...]:
         return candidate_snapshot(self.satellite, self.n_ahead_observe).targets[: self.n_ahead_observe]
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> dict[str, object]:
         """See :meth:`Observation.get_obs`; a dictionary for each candidate."""
-        observation = {}
+        observation: dict[str, object] = {}
         for k, target in enumerate(self._candidates()):
             values = target_properties(self.satellite, target)
             observation[f"{self.name}_{k}"] = {title: values[prop] / norm for prop, title, norm in self.properties}

@@ -17,8 +17,6 @@ from bsk_torch.bsk_rl.per_episode.views import view_of
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.user_function import Tree, alike, as_batch, first_of
 
-__all__ = ["per_episode"]
-
 logger = logging.getLogger(__name__)
 
 
@@ -41,7 +39,7 @@ def per_episode(function: Callable[..., object]) -> Callable[..., Tree]:
         lead = (len(satellite.simulator.ticks),) if opportunities is None else tuple(opportunities.open.shape)
         device = satellite.simulator.device
 
-        def one(row: int) -> Any:
+        def one(row: int) -> object:
             view = view_of(satellite, row)
             if opportunities is not None:
                 return [function(view, each) for each in view.of_windows(opportunities.type, opportunities, padding=True)]

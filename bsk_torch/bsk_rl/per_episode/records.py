@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import torch
@@ -17,7 +17,7 @@ from bsk_torch.bsk_rl.per_episode.views import OneAccessSatellite, OneSatellite,
 from bsk_torch.sim.places import is_target
 from bsk_torch.sim.state import StateTable
 
-Filter = Callable[[Mapping[str, Any]], Any]
+Filter = Callable[[Mapping[str, Any]], object]
 
 
 class StoringSatellite:
@@ -41,7 +41,7 @@ class StoringSatellite:
     def __repr__(self) -> str:
         return f"<{self._one.name} of environment {self._one.env}>"
 
-    def add_access_filter(self, access_filter: Filter, types: Any = None) -> None:
+    def add_access_filter(self, access_filter: Filter, types: str | Collection[str] | None = None) -> None:
         """Hide opportunities of this satellite for which ``access_filter(opportunity)`` is false."""
         kinds = (types,) if isinstance(types, str) else types
         self._filters.append(

@@ -320,7 +320,7 @@ class OneOpportunity(dict[str, Any]):
     """Index among the places of its type."""
 
 
-Filter = Callable[[OneOpportunity], Any] | list[Any] | None
+Filter = Callable[[OneOpportunity], object] | list[object] | None
 """Function that selects opportunities, list of excluded objects, or None for the filters of the satellite."""
 
 

@@ -27,7 +27,7 @@ __all__ = ["AccessSatellite", "ImagingSatellite", "SatAct", "SatObs"]
 logger = logging.getLogger(__name__)
 
 Opportunity = dict[str, Any]
-Filter = Callable[[Any], Any]
+Filter = Callable[[Any], object]
 """Whether an opportunity, a dictionary, counts."""
 
 Types = str | Collection[str] | None
@@ -57,7 +57,7 @@ class OpportunityQueries(ABC):
 
     @staticmethod
     def _by_object(opportunities: Sequence[Opportunity], accepts: Filter) -> dict[object, list[Window]]:
-        windows: dict[Any, list[Window]] = {}
+        windows: dict[object, list[Window]] = {}
         for opportunity in opportunities:
             if accepts(opportunity):
                 windows.setdefault(opportunity["object"], []).append(opportunity["window"])
@@ -287,7 +287,7 @@ class ImagingSatellite(AccessSatellite):
         self.latest_target: Any = None
 
     @property
-    def known_targets(self) -> Any:
+    def known_targets(self) -> Sequence[Target]:
         """Targets that the satellite knows of."""
         try:
             return self.data_store.data.known
@@ -306,7 +306,7 @@ class ImagingSatellite(AccessSatellite):
         self.sat_args["bufferNames"] = [self.buffer_name]
         self.sat_args["transmitterNumBuffers"] = 1
 
-    def parse_target_selection(self, target_query: Any) -> Any:
+    def parse_target_selection(self, target_query: Any) -> Target:
         """Return the target of the k-th next opportunity, or that of an id, or the target itself.
 
         Raises:
@@ -332,7 +332,7 @@ class ImagingSatellite(AccessSatellite):
         self.draw_imaging_line(target)
         self.latest_target = target
 
-    def enable_target_window(self, target: object, max_duration: float | None = None) -> None:
+    def enable_target_window(self, target: Target, max_duration: float | None = None) -> None:
         """Let the task end with the image, with the target's window, or after ``max_duration`` s.
 
         Raises:
@@ -353,7 +353,7 @@ class ImagingSatellite(AccessSatellite):
         until = min(window[1], self.simulator.sim_time + (ENDLESS if max_duration is None else max_duration))
         self.update_timed_terminal_event(until, info=f"for {target} window", extra_actions=over)
 
-    def _update_image_event(self, target: Any) -> None:
+    def _update_image_event(self, target: Target) -> None:
         if self._image_event_name in self.simulator.eventMap:
             self.simulator.delete_event(str(self._image_event_name))
         self._image_event_name = valid_func_name(f"image_{self.name}_{target.id}")

@@ -25,8 +25,6 @@ from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.names import nearest
 
-__all__ = ["SatAct", "SatObs", "Satellite"]
-
 SatObs = TypeVar("SatObs")
 SatAct = TypeVar("SatAct")
 
@@ -78,7 +76,7 @@ class Satellite(ABC, ResetableGroup):
         return compose(cls._given("fsw_type"), FSWModel, cls.__name__)
 
     @classmethod
-    def _given(cls, name: str) -> Any:
+    def _given(cls, name: str) -> object:
         if not hasattr(cls, name):
             raise AttributeError(f"{cls.__name__} must set {name}")
         return getattr(cls, name)

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["MixedScenario"]
-
-
 class MixedScenario(ResetableGroup, Scenario):
     """Several scenarios, each with its own group of satellites; see :class:`bsk_torch.bsk_rl.data.MixedReward`.
 

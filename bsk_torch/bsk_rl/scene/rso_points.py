@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = ["RSOPoint", "RSOPoints", "SphericalRSO"]
-
 logger = logging.getLogger(__name__)
 
 

@@ -33,7 +33,7 @@ class EpisodeTarget:
     """
 
     definition: RSOTarget
-    target_spacecraft: object
+    target_spacecraft: Satellite
     priority: float
 
     @property

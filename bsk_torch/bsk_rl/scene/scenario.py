@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
-
-
-__all__ = ["Scenario", "UniformNadirScanning"]
 
 
 class Scenario(ABC, Resetable):
@@ -22,7 +19,7 @@ class Scenario(ABC, Resetable):
         utc_init: Epoch of the episode, set before :meth:`reset_pre_sim_init`.
     """
 
-    satellites: list[Any]
+    satellites: list[Satellite]
     utc_init: str
 
     def link_satellites(self, satellites: list[Satellite]) -> None:

@@ -18,8 +18,6 @@ from bsk_torch.bsk_rl.utils.orbital import lla2ecef
 from bsk_torch.constants import R_EARTH
 from bsk_torch.scene.cities import city_table
 
-__all__ = ["CityTargets", "Target", "UniformTargets"]
-
 logger = logging.getLogger(__name__)
 
 

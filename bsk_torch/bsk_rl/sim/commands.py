@@ -115,7 +115,7 @@ class Command:
 class Commanded:
     """A module that commands reset and switch: attributes that can be read, and the settings of a command."""
 
-    def __init__(self, name: str, command: Callable[[], Command | None], read: Callable[[str], Any]) -> None:
+    def __init__(self, name: str, command: Callable[[], Command | None], read: Callable[[str], object]) -> None:
         """View a module by its name in bsk_rl's models."""
         self.__dict__.update(_name=name, _command=command, _read=read)
 
@@ -124,7 +124,7 @@ class Commanded:
             raise AttributeError(name)
         return self.__dict__["_read"](name)
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         command, module = self._within(name), self._name
         if (module, name) in SWITCHES:
             command.switch(SWITCHES[module, name], bool(value))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -39,6 +39,9 @@ from bsk_torch.sim.readout.observables import Now, ObserverProgram
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.world import WorldModel
 from bsk_torch.vec3 import Mat3, Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 BUILT_FOR = ("transmitterNumBuffers", "storageInit")
 """Arguments for which partitions are built, in addition to those that are the same for all environments of the core."""
@@ -116,7 +119,7 @@ class Engine:
 
     def begin(
         self,
-        satellites: Sequence[Any],
+        satellites: Sequence[Satellite],
         world_type: type[WorldModel],
         world_args: dict[str, object],
         sim_rate: float,
@@ -144,7 +147,9 @@ class Engine:
         fleet.since = fleet.ticks
         return fleet
 
-    def _structure(self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], *others: Any) -> object:
+    def _structure(
+        self, satellites: Sequence[Satellite], types: Sequence[type[CoreSatellite]], world_type: type[WorldModel], *others: object
+    ) -> object:
         """Return what decides whether a simulation that has been built can be used again."""
         each = [
             (s.name, t, s.variable_interval, _given(t.default_sat_args(), values))
@@ -152,10 +157,15 @@ class Engine:
         ]
         return repr(
             [(name, id(t), interval, sorted(table_arguments.items(), key=str)) for name, t, interval, table_arguments in each]
-        ), repr((sorted(_given(others[0].default_world_args(), self.world).items(), key=str), *others))
+        ), repr((sorted(_given(world_type.default_world_args(), self.world).items(), key=str), world_type, *others))
 
     def _build(
-        self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], world_type: Any, sim_rate: float, orbit: str | None
+        self,
+        satellites: Sequence[Satellite],
+        types: Sequence[type[CoreSatellite]],
+        world_type: type[WorldModel],
+        sim_rate: float,
+        orbit: str | None,
     ) -> None:
         described = [
             made(s.name, self._sources(made.default_sat_args(), k), variable_interval=bool(s.variable_interval))
@@ -202,7 +212,7 @@ def _exists(state: SatelliteState, function: Callable[[Now], object]) -> bool:
     return True
 
 
-def _own_values(satellite: Any) -> dict[str, object]:
+def _own_values(satellite: Satellite) -> dict[str, object]:
     """Return the arguments of a satellite as the core takes them: with the state at time zero in place of elements."""
     args = satellite.sat_args
     for model in (satellite.dyn_type, satellite.fsw_type):
@@ -224,7 +234,7 @@ def _own_values(satellite: Any) -> dict[str, object]:
     return values
 
 
-def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, Any]:
+def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, object]:
     return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
 
 

@@ -75,7 +75,7 @@ class View(Protocol):
 class Message:
     """A message: :meth:`read` returns what it holds now."""
 
-    def __init__(self, read: Callable[[], Mapping[str, Any]], write: Callable[[Any], None] | None = None) -> None:
+    def __init__(self, read: Callable[[], Mapping[str, object]], write: Callable[[Any], None] | None = None) -> None:
         """Read with a function, and write with another one if the message can be written."""
         self._read, self._write = read, write
 
@@ -134,7 +134,7 @@ class Module(NamedTuple):
     needs: str = "r_BN_N"
 
 
-def read_of(view: Any, attributes: Mapping[str, Callable[[Any], Any]], name: str) -> Any:
+def read_of(view: object, attributes: Mapping[str, Callable[[Any], object]], name: str) -> Any:
     """Return an attribute of a module of a model; AttributeError with advice for one that cannot be read."""
     if name not in attributes:
         raise AttributeError(unreadable(name, "a module", attributes))
@@ -224,10 +224,6 @@ def _sink(name: str, flag: str | None) -> Module:
     return Module({"nodePowerOut": power, "powerStatus": status, "nodePowerOutMsg": message}, "battery_charge")
 
 
-def _switched(name: str, flag: str) -> Callable[[View], object]:
-    return lambda dynamics: int(flag in dynamics.satellite.fsw.flags_on)
-
-
 MODULES: dict[str, Module] = {
     "scObject": Module(
         {
@@ -262,7 +258,10 @@ MODULES: dict[str, Module] = {
     ),
     "instrument": Module({"nodeBaudRate": _argument("instrumentBaudRate")}, "storage_level"),
     "transmitter": Module(
-        {"nodeBaudRate": _argument("transmitterBaudRate"), "dataStatus": _switched("dataStatus", "transmitter_on")},
+        {
+            "nodeBaudRate": _argument("transmitterBaudRate"),
+            "dataStatus": lambda d: int("transmitter_on" in d.satellite.fsw.flags_on),
+        },
         "storage_level",
     ),
 }
@@ -325,10 +324,6 @@ def _motor_torques(fsw: View) -> Message:
     return Message(read)
 
 
-def _configuration(fsw: View) -> Message:
-    return Message(lambda: {"ISCPntB_B": inertia(fsw.dynamics).ravel().tolist()})
-
-
 def _arguments(**names: str) -> dict[str, Callable[[View], object]]:
     return {attribute: _argument(name) for attribute, name in names.items()}
 
@@ -349,7 +344,7 @@ class Software(NamedTuple):
 FSW_MODULES: dict[str, Software] = {
     "attGuidMsg": Software(FSWModel, message=_guidance),
     "attRefMsg": Software(FSWModel, message=_reference),
-    "vcConfigMsg": Software(FSWModel, message=_configuration),
+    "vcConfigMsg": Software(FSWModel, message=lambda fsw: Message(lambda: {"ISCPntB_B": fsw.dynamics.I_mat})),
     "hillPoint": Software(FSWModel),
     "trackingError": Software(FSWModel, {"attGuidOutMsg": _guidance}),
     "sunPoint": Software(BasicFSWModel, {"pHat_B": lambda fsw: unit(fsw, "nHat_B"), "attGuidOutMsg": _guidance}),

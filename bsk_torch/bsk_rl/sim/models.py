@@ -21,7 +21,7 @@ from bsk_torch.sim.readout.hooks import check_model
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-ROOTS: tuple[Any, ...] = (dyn.DynamicsModel, fsw.FSWModel, world.WorldModel)
+ROOTS: tuple[type, ...] = (dyn.DynamicsModel, fsw.FSWModel, world.WorldModel)
 """Models from which all others of the core are derived."""
 
 CORE = ("bsk_torch.sim.", "bsk_torch.tasks.")
@@ -108,7 +108,7 @@ def counterpart(core: Any) -> Any:
     """Return the model for one episode that a model of the core stands for."""
     parents = [counterpart(base) for base in core.__bases__ if issubclass(base, ROOTS)]
     made = type(core.__name__, (*parents, core), {"__doc__": core.__doc__})
-    body: dict[str, Any] = {"__module__": f"{__name__.rpartition('.')[0]}.{_kind(core)}"}
+    body: dict[str, object] = {"__module__": f"{__name__.rpartition('.')[0]}.{_kind(core)}"}
     if core in ROOTS:
         body |= _world_hooks() if core is world.WorldModel else _hooks()
     methods = {**_arguments_of(DYN, core), **_arguments_of(FSW, core), **_arguments_of(WORLD, core)}
@@ -183,7 +183,7 @@ def _nothing(self: object) -> None:
     """Do nothing; a hook of bsk_rl's models."""
 
 
-def _hooks() -> dict[str, Any]:
+def _hooks() -> dict[str, object]:
     def is_alive(self: Any, log_failure: bool = False) -> bool:
         return self._checks_hold(log_failure)
 
@@ -198,8 +198,8 @@ def _hooks() -> dict[str, Any]:
     }
 
 
-def _world_hooks() -> dict[str, Any]:
-    def default_world_args(cls: Any, **overrides: object) -> dict[str, object]:
+def _world_hooks() -> dict[str, object]:
+    def default_world_args(cls: type, **overrides: object) -> dict[str, object]:
         """Return all arguments of the world by name: values, and functions that draw them; KeyError for an unknown one."""
         from bsk_torch.bsk_rl.defaults import world_defaults  # which imports models
 
@@ -223,7 +223,7 @@ def _set_up_all(self: Any, **kwargs: object) -> None:
     self._set_up_all(kwargs)
 
 
-def _check(cls: Any, **options: object) -> None:
+def _check(cls: type, **options: object) -> None:
     """Check a class of users, as the core does, apart from what runs here."""
     root = next(root for root in ROOTS if issubclass(cls, root))
     if cls.__module__.split(".")[0] == "bsk_torch":
@@ -234,12 +234,16 @@ def _check(cls: Any, **options: object) -> None:
             setattr(cls, table, tuple(getattr(cls, method)()))
 
 
+def classes_of_users(model: type) -> list[type]:
+    """Return the classes among the bases of a model that users have written."""
+    return [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins", "types", "abc")]
+
+
 def for_one_episode_only(model: type) -> list[str]:
     """Return the definitions of users' classes among the bases of a model that run for one episode only."""
     return sorted(
         name
-        for owner in model.__mro__
-        if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins", "types")
+        for owner in classes_of_users(model)
         for name, value in vars(owner).items()
         if name not in (*REQUIREMENTS, "default_world_args") and runs(name, value)
     )

@@ -18,6 +18,7 @@ from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
+    from bsk_torch.bsk_rl.scene.rso_targets import EpisodeTarget
 
 
 LONGEST = 1e9
@@ -33,16 +34,16 @@ class Aims:
     def __init__(self, fleet: SatelliteFleet) -> None:
         """Begin without targets in the episode of ``fleet``."""
         self.fleet = fleet
-        self._targets: list[Any] = []
+        self._targets: list[Satellite] = []
         self._orbits: CatalogOrbits | None = None
 
-    def add(self, target: object) -> None:
+    def add(self, target: Satellite) -> None:
         """Add a satellite as a target."""
         if target not in self._targets:
             self._targets.append(target)
             self._orbits = None
 
-    def point(self, imager: Satellite, target: object) -> None:
+    def point(self, imager: Satellite, target: Satellite) -> None:
         """Let the instrument of an imager point at a target whenever it images."""
         if self._orbits is None:
             self._orbits = self._begin()
@@ -88,7 +89,7 @@ class Capture:
         return float(self.satellite.simulator.fleet.simulators[part].read(name)[row])
 
     @property
-    def target(self) -> Any:
+    def target(self) -> EpisodeTarget | None:
         """The target of the task; None without a task, and after its deadline has passed without an image."""
         late = self.satellite.simulator.sim_time_ns >= self._deadline and not self.check_capture()
         return None if late else self._target
@@ -105,7 +106,7 @@ class Capture:
 
     def start(
         self,
-        target: Any,
+        target: EpisodeTarget,
         duration: float,
         hold_s: float,
         hold_mode: str,

@@ -11,25 +11,28 @@ from __future__ import annotations
 import inspect
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bsk_torch.bsk_rl.sim.messages import COMPONENT
-from bsk_torch.bsk_rl.sim.models import SETUP, Task
+from bsk_torch.bsk_rl.sim.models import SETUP, Task, classes_of_users
 from bsk_torch.sim.dyn import Wheel
 from bsk_torch.sim.dyn.effectors.wheel_set import EACH
 
-__all__ = ["NotSimulatedError", "changed_arguments", "is_set_up_by_user"]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
 class NotSimulatedError(NotImplementedError):
     """A model that adds a part that the package does not simulate."""
 
 
-def _array(value: Any) -> Any:
+def _array(value: ArrayLike) -> np.ndarray:
     return np.asarray(value, dtype=float)
 
 
@@ -70,11 +73,11 @@ RENAMED: dict[str, dict[str, tuple[str, Callable[[Any], object]]]] = {
 class Part:
     """A module of the package while a model is set up: its settings are arguments."""
 
-    def __init__(self, name: str, args: dict[str, Any]) -> None:
+    def __init__(self, name: str, args: dict[str, object]) -> None:
         """Let the settings of the module ``name`` change ``args``."""
         self.__dict__.update(_name=name, _args=args)
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if name == "ModelTag":
             return
         settings = RENAMED.get(self._name, {})
@@ -96,7 +99,7 @@ class Part:
 class Spacecraft(Part):
     """The spacecraft while a model is set up; effectors of the package's kinds are read by :class:`Setup`."""
 
-    def __init__(self, args: dict[str, Any]) -> None:
+    def __init__(self, args: dict[str, object]) -> None:
         """Let the settings of the hub change ``args``."""
         super().__init__("scObject", args)
         self.__dict__["hub"] = Part("hub", args)
@@ -120,11 +123,11 @@ def _of_basilisk(value: object) -> bool:
 # -- modules that are read -------------------------------------------------------------------------------------------------------
 
 
-def _atmosphere(module: Any, args: Mapping[str, Any]) -> dict[str, Any]:
+def _atmosphere(module: object, args: Mapping[str, object]) -> dict[str, object]:
     return {name: float(getattr(module, name)) for name in ("planetRadius", "baseDensity", "scaleHeight")}
 
 
-def _wheels(factory: Any, args: Mapping[str, Any]) -> dict[str, Any]:
+def _wheels(factory: Any, args: Mapping[str, object]) -> dict[str, object]:
     """Return the arguments of the wheels that a factory has made."""
     listed, to_rpm = list(factory.rwList.values()), 30.0 / math.pi
     if any(int(wheel.RWModel) != 0 for wheel in listed):
@@ -153,7 +156,10 @@ def _wheels(factory: Any, args: Mapping[str, Any]) -> dict[str, Any]:
 
 FRICTION = ("P_max", "fCoulomb", "fStatic", "betaStatic", "cViscous")
 
-READ: dict[str, Callable[[Any, Mapping[str, Any]], dict[str, Any]]] = {"ExponentialAtmosphere": _atmosphere, "rwFactory": _wheels}
+READ: dict[str, Callable[[Any, Mapping[str, object]], dict[str, object]]] = {
+    "ExponentialAtmosphere": _atmosphere,
+    "rwFactory": _wheels,
+}
 """Modules of Basilisk by class, and functions that return the arguments that they stand for."""
 
 IGNORED = ("ReactionWheelStateEffector",)
@@ -163,7 +169,7 @@ IGNORED = ("ReactionWheelStateEffector",)
 class Simulation:
     """The simulator while a model is set up: keeps the modules that are added to tasks."""
 
-    def __init__(self, satellites: Any) -> None:
+    def __init__(self, satellites: Sequence[object]) -> None:
         """Begin without modules."""
         self.satellites, self.added = satellites, list[object]()
 
@@ -175,7 +181,9 @@ class Simulation:
 class Setup:
     """Stands for a model of an episode while its ``setup_...`` methods run."""
 
-    def __init__(self, model: type, args: Mapping[str, Any], satellite: Any = None, world: Any = None, fsw: Any = None) -> None:
+    def __init__(
+        self, model: type, args: Mapping[str, object], satellite: object = None, world: object = None, fsw: object = None
+    ) -> None:
         """Begin with the drawn arguments of a satellite or world."""
         self.__dict__.update(
             _model=model,
@@ -214,18 +222,18 @@ class Setup:
             f"{self.__dict__['_model'].__name__}: {name!r} cannot be read while the model is set up; {COMPONENT}"
         )
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if name in self._args and not _of_basilisk(value):
             self._args[name] = value
         self.__dict__[name] = value
 
     # -- called by methods of the package, see :mod:`bsk_torch.bsk_rl.sim.models` --------------------------------------
 
-    def _take(self, method: str, names: tuple[str, ...], kwargs: Mapping[str, Any]) -> None:
+    def _take(self, method: str, names: tuple[str, ...], kwargs: Mapping[str, object]) -> None:
         self._done.add(method)
         self._args.update({name: kwargs[name] for name in names if name in kwargs})
 
-    def _set_up_all(self, kwargs: Mapping[str, Any]) -> None:
+    def _set_up_all(self, kwargs: Mapping[str, object]) -> None:
         """Run the ``setup_...`` methods; NotSimulatedError for one that leaves out what the package's sets up."""
         for name in sorted(name for name in dir(self._model) if name.startswith("setup_")):
             before = len(self._read())
@@ -237,10 +245,10 @@ class Setup:
                 )
         self.__dict__["_complete"] = True
 
-    def _read(self) -> list[Any]:
+    def _read(self) -> list[object]:
         return [value for value in vars(self).values() if type(value).__name__ in READ]
 
-    def _run(self, method: str, args: Mapping[str, Any]) -> None:
+    def _run(self, method: str, args: Mapping[str, object]) -> None:
         if method == "_set_up_all":
             self._set_up_all(args)
             return
@@ -250,7 +258,7 @@ class Setup:
                 f"{self._model.__name__}.{method} must call super().{method}(**kwargs): parts cannot be left out. {COMPONENT}"
             )
 
-    def _finish(self, before: Mapping[str, Any]) -> dict[str, Any]:
+    def _finish(self, before: Mapping[str, object]) -> dict[str, object]:
         """Return the arguments that have changed; NotSimulatedError for modules that are not simulated."""
         made = self._read()
         for module in made:
@@ -269,22 +277,17 @@ def _gravity() -> Any:
     return SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=planets))
 
 
-def _users(model: type) -> list[type]:
-    """Return the classes among the bases of a model that users have written."""
-    return [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins", "types", "abc")]
-
-
 def is_set_up_by_user(model: type) -> bool:
     """Return whether a class of users defines a method that sets up a model, or one of its tasks."""
     names = ("setup_", "_setup_")
     return any(
         name.startswith(names) or (inspect.isclass(value) and issubclass(value, Task))
-        for owner in _users(model)
+        for owner in classes_of_users(model)
         for name, value in vars(owner).items()
     )
 
 
-def changed_arguments(model: type, args: Mapping[str, Any], satellite: Any = None) -> dict[str, Any]:
+def changed_arguments(model: type, args: Mapping[str, object], satellite: Satellite | None = None) -> dict[str, object]:
     """Run the ``setup_...`` methods of a user's model; return the arguments that they change.
 
     Args:
@@ -302,7 +305,7 @@ def changed_arguments(model: type, args: Mapping[str, Any], satellite: Any = Non
     whole._run(run, args)
     changed = whole._finish(args)
     tasks = (getattr(model, name) for name in dir(model) if name.endswith("Task"))
-    for task in (task for task in tasks if _users(task)):
+    for task in (task for task in tasks if classes_of_users(task)):
         made = Setup(task, args, satellite, fsw=whole)
         made._set_up_all(args)
         changed |= made._finish(args)

@@ -211,12 +211,14 @@ class Simulator:
         """Let something happen at the first tick at or after ``seconds``; an event of the same name is replaced."""
         self.eventMap[name] = Event(self.tick_at(seconds), effect, terminal)
 
-    def add_image_event(self, name: str, satellite: object, effect: Callable[[Simulator], object] | None, terminal: bool) -> None:
+    def add_image_event(
+        self, name: str, satellite: Satellite, effect: Callable[[Simulator], object] | None, terminal: bool
+    ) -> None:
         """Let something happen when a satellite has taken an image: when the first partition of its store grows."""
         self.eventMap[name] = Event(None, effect, terminal, image_of=satellite)
         self._arm(satellite, True)
 
-    def _arm(self, satellite: Any, armed: bool) -> None:
+    def _arm(self, satellite: Satellite, armed: bool) -> None:
         part, row = satellite.core_row
         simulator = self.fleet.simulators[part]
         mask = row_mask(self.fleet, part, row)
@@ -325,7 +327,7 @@ class Simulator:
         fleet.since = torch.tensor([self._now])
         longest = self._now + self.tick_at(self.max_step_duration)
         last = min(longest, limit)
-        images: Sequence[Any] = [None] * len(fleet.satellites)
+        images: Sequence[torch.Tensor | None] = [None] * len(fleet.satellites)
         until = self._now
         while self._now < limit:
             imaged = any(self._is_due(event, images) for event in self.eventMap.values() if event.image_of is not None)
@@ -346,7 +348,6 @@ class Simulator:
                 part.memory.touch()
 
     def _limit(self) -> tuple[torch.Tensor, int]:
-        """Return the time limit in ticks."""
         if self._limited[0] != self.time_limit:
             ticks = whole_limit(torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64), self._et, self._h_ns)[0]
             self._limited = self.time_limit, ticks, int(ticks)
@@ -386,7 +387,7 @@ class Simulator:
             if self._now == 0:
                 one.logger.warning("Collision occurred at t=0, may incorrectly report failure type")
 
-    def _fire(self, images: Sequence[object]) -> bool:
+    def _fire(self, images: Sequence[torch.Tensor | None]) -> bool:
         """Let the events happen that are due, in the order of the map, and return whether one of them ends the step.
 
         Those that an effect adds, or activates later in the map, are looked at as well.
@@ -404,7 +405,7 @@ class Simulator:
             k = 1 + next((n for n, other in enumerate(self.eventMap.values()) if other is event), -1)
         return ends
 
-    def _is_due(self, event: Event, images: Sequence[object]) -> bool:
+    def _is_due(self, event: Event, images: Sequence[torch.Tensor | None]) -> bool:
         if event.tick is not None:
             return event.eventActive and event.tick <= self._now
         if event.condition is not None:

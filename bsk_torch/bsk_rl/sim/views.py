@@ -8,7 +8,8 @@ another one raises AttributeError with advice.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import cache, cached_property, partial
 from types import SimpleNamespace
@@ -21,6 +22,7 @@ from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command
 from bsk_torch.bsk_rl.sim.engine import SKY, row_mask
+from bsk_torch.bsk_rl.sim.models import classes_of_users
 from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
 from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
 from bsk_torch.sats.bound import SatelliteFleet
@@ -33,7 +35,12 @@ from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
 from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from bsk_torch.bsk_rl.sats.satellite import Satellite
+    from bsk_torch.bsk_rl.scene.rso_targets import EpisodeTarget
+    from bsk_torch.sim.readout.observables import Now
+    from bsk_torch.sim.simulator import Simulator as CoreSimulator
 
 
 CORE = "bsk_torch.sim."
@@ -54,7 +61,7 @@ PACKAGE = "bsk_torch."
 class Episode(Protocol):
     """What views read of :class:`bsk_torch.bsk_rl.sim.simulator.Simulator`, the simulation of an episode."""
 
-    satellites: list[Any]
+    satellites: list[Satellite]
     sim_rate: float
     world: WorldView
     world_args: dict[str, Any]
@@ -72,15 +79,16 @@ class _Overridden:
     def __init__(self, name: str) -> None:
         self.name = name
 
-    def __get__(self, view: Any, owner: type | None = None) -> Any:
+    def __get__(self, view: ModelView, owner: type | None = None) -> object:
         return view.__getattr__(self.name)
 
 
 @cache
 def _overriding(view: type, model: type) -> type:
     """Return the class of views of a model: ``view`` itself, or a subclass where the user's model defines some of its members."""
-    users = [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins")]
-    names = {name for owner in users for name in vars(owner) if not name.startswith("_") and hasattr(view, name)}
+    names = {
+        name for owner in classes_of_users(model) for name in vars(owner) if not name.startswith("_") and hasattr(view, name)
+    }
     return type(view.__name__, (view,), {name: _Overridden(name) for name in names}) if names else view
 
 
@@ -163,7 +171,7 @@ class ModelView:
         entry = of_row(value, self._row)
         return entry.tolist() if name in messages.LISTS else entry
 
-    def observed(self, function: Any) -> Any:
+    def observed(self, function: Callable[[Now], object]) -> Any:
         """Return an observable of the core, which is read once until the state changes."""
         memo = self._present()
         value = memo.get(function)
@@ -171,7 +179,7 @@ class ModelView:
             value = memo[function] = self._read(function, memo)
         return value.copy() if isinstance(value, np.ndarray | list) else value
 
-    def _present(self) -> dict[Any, Any]:
+    def _present(self) -> dict[object, Any]:
         """Return what has been read since the state changed last."""
         observer = self._observer
         if self._memo[0] != observer.state.version:
@@ -180,7 +188,7 @@ class ModelView:
             self.__dict__["_memo"] = observer.state.version, {"row": row, "layout": {} if table is None else table[1].layout}
         return self._memo[1]
 
-    def _read(self, function: Any, memo: dict[Any, Any]) -> Any:
+    def _read(self, function: Callable[[Now], object], memo: Mapping[object, Any]) -> Any:
         if function not in memo["layout"]:
             return self._entry(function.__name__, self._observer.read(function))
         (at, kind), row = memo["layout"][function], memo["row"]
@@ -212,7 +220,7 @@ class ModelView:
             return member.__get__(self)
         return lambda *args, **options: of_row(getattr(self._whole, name)(*args, **options), self._row)
 
-    def _check(self, name: str, method: Any, *args: Any, log_failure: bool = False, **options: Any) -> object:
+    def _check(self, name: str, method: Any, *args: object, log_failure: bool = False, **options: object) -> object:
         """Evaluate an aliveness check, the core's or a ``method`` of the user's; log a warning of its failure on request."""
         if method is None:
             alive = of_row(getattr(self._whole, name)(*args, **options), self._row)
@@ -280,11 +288,11 @@ class SatelliteModelView(ModelView):
             return self.satellite.model_args[name]
         return super().__getattr__(name)
 
-    def _arguments(self) -> Any:
+    def _arguments(self) -> set[str]:
         return {arg.name for component in type(self._whole).all_components() for arg in component.args}
 
     @property
-    def logger(self) -> Any:
+    def logger(self) -> logging.Logger:
         """Logger of the satellite."""
         return self.satellite.logger
 
@@ -354,26 +362,26 @@ class DynamicsView(SatelliteModelView):
         if not hasattr(type(self._whole), name):
             raise AttributeError(self._advice(name))
 
-    def _elements_at_start(self) -> Any:
+    def _elements_at_start(self) -> dict[str, float]:
         """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
         if "_oe" not in self.__dict__:
             elements = self._whole.elements
             self.__dict__["_oe"] = {name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()}
         return self.__dict__["_oe"]
 
-    def observed(self, function: Any) -> Any:
+    def observed(self, function: Callable[[Now], object]) -> Any:
         """See :meth:`ModelView.observed`; orbital elements are those of the first moment at which one was read."""
         name = function.__name__
         return self._elements_at_start()[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
 
     @property
-    def _bound_targets(self) -> dict[str, Any]:
+    def _bound_targets(self) -> dict[str, Satellite]:
         """Targets that the imager knows, by id; AttributeError for other satellites."""
         if not isinstance(self, SpaceToSpaceImagingDynModel):
             raise AttributeError(self._advice("bind_rso_target"))
         return self.__dict__.setdefault("_targets", {})
 
-    def bind_rso_target(self, target: Any) -> None:
+    def bind_rso_target(self, target: EpisodeTarget) -> None:
         """Let the imager know a target of its scenario; ValueError for one that it knows."""
         if target.id in self._bound_targets:
             raise ValueError(f"{self.satellite.name} knows the target {target.id!r} already")
@@ -489,7 +497,7 @@ class FlightSoftwareView(SatelliteModelView):
         return self.simulator.sim_rate
 
     @property
-    def _core(self) -> Any:
+    def _core(self) -> CoreSimulator:
         return self.simulator.fleet.simulators[self.satellite.core_row[0]]
 
     @property
@@ -522,7 +530,7 @@ class FlightSoftwareView(SatelliteModelView):
             raise AttributeError(self._advice("rso_capture"))
         return self.__dict__.setdefault("_capture", Capture(self.satellite))
 
-    def _module(self, name: str) -> Any:
+    def _module(self, name: str) -> object:
         """Return a module of Basilisk's flight software, if the model has it."""
         module = messages.FSW_MODULES[name]
         if not module.exists(self):
@@ -534,7 +542,7 @@ class FlightSoftwareView(SatelliteModelView):
 
     def action_image_rso(
         self,
-        target: Any,
+        target: EpisodeTarget,
         duration: float = 300.0,
         hold_s: float = 10.0,
         hold_mode: str = "cumulative",
@@ -564,7 +572,7 @@ class FlightSoftwareView(SatelliteModelView):
         self._enter(ATTITUDE_MRP)
         self._write("sigma_RN", sigma_RN)
 
-    def action_impulsive_thrust(self, dv_N: Any) -> None:
+    def action_impulsive_thrust(self, dv_N: ArrayLike) -> None:
         """Change the velocity at once, m/s in N; the attitude reference becomes that of N."""
         size, available = np.linalg.norm(dv_N), self.dv_available
         if size > available:
@@ -585,7 +593,7 @@ class Station:
         maximumRange: Longest range, m; no limit if negative.
     """
 
-    def __init__(self, simulator: Episode, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
+    def __init__(self, simulator: Episode, name: str, r_LP_P: ArrayLike, sine: float, reach: float) -> None:
         """Keep the numbers of a station."""
         self._place = np.asarray(r_LP_P, dtype=float)
         self.ModelTag, self.r_LP_P_Init = name, self._place.reshape(3, 1).tolist()

@@ -7,8 +7,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-__all__ = ["balancedHR16Triad", "idealMonarc1Octet"]
-
 
 class WheelTriad(Sequence[object]):
     """Three entries, of which the last are wheel speeds, rpm; reading the others, Basilisk's objects, raises TypeError."""

@@ -10,8 +10,6 @@ from bsk_torch.astro.relative import aligned_with_hill, rv2HN
 from bsk_torch.initial import AXES, SPIN
 from bsk_torch.sim.component import UserArguments
 
-__all__ = ["hill_frame_attitude", "random_tumble"]
-
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
     """Return an attitude sigma_BN [3], MRPs in [0, 1), and a rate omega_BN_B [3] of components up to ``maxSpinRate``, rad/s."""

@@ -244,7 +244,7 @@ class AbstractClassProperty:
         raise NotImplementedError(f"{owner.__name__}.{self.name} must be defined by the subclass")
 
 
-def mock_safe_bases(*bases: Any) -> tuple[type, ...]:
+def mock_safe_bases(*bases: type | MagicMock) -> tuple[type, ...]:
     """Return classes, with the classes that mocks stand for in place of mocks."""
     return tuple((base._spec_class or object) if isinstance(base, MagicMock) else base for base in bases)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bsk_torch.tasks.objects.candidates import HIGHEST, LOWEST
 
-__all__ = ["CandidateSnapshot", "RSOImageRecord", "candidate_snapshot", "illumination_factor", "target_geometry"]
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sats.satellite import Satellite
+    from bsk_torch.bsk_rl.scene.rso_targets import EpisodeTarget
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,10 @@ class CandidateSnapshot:
 
     time: float
     revision: int
-    targets: tuple[Any, ...]
+    targets: tuple[EpisodeTarget | None, ...]
 
 
-def target_geometry(imager: Any, target: Any) -> tuple[np.ndarray, float, float]:
+def target_geometry(imager: Satellite, target: EpisodeTarget) -> tuple[np.ndarray, float, float]:
     """Return a target's position relative to an imager, m in N [3], its distance, m, and its elevation, degrees.
 
     The elevation is the angle above the horizontal plane of the imager.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-__all__ = ["VIZARD_PATH", "visualize"]
-
 VIZARD_PATH = None
 """Folder that Vizard's files are written to: None, for none."""
 

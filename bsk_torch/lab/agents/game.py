@@ -146,10 +146,10 @@ class Game:
                 return self._outcome(k + 1, rewards, begin) | {"ended": True, "result": self._end()}
         return self._outcome(len(numbers), rewards, begin) | {"ended": False}
 
-    def _outcome(self, taken: int, rewards: float, begin: float) -> dict[str, Any]:
+    def _outcome(self, taken: int, rewards: float, begin: float) -> dict[str, object]:
         return {"taken": taken, "reward": shown(rewards), "seconds": shown(float(self.env.fleet.sim_time[0]) - begin)}
 
-    def _end(self) -> dict[str, Any]:
+    def _end(self) -> dict[str, object]:
         """Note the result of the case that has ended, and begin the next."""
         causes = [name for name, failed in failed_checks(self.env).items() if bool(failed[0].any())]
         self.results.append(

@@ -29,8 +29,6 @@ from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.rl.policies.shared_policy import member_views
 from bsk_torch.rl.rules.baselines import LOT
 
-__all__ = ["Audit", "OfAction", "OfSituation", "audit"]
-
 LEVELS = {
     "battery_charge_fraction": "battery",
     "storage_level_fraction": "data store",

@@ -11,16 +11,9 @@ import math
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.eclipse import illumination
-from bsk_torch.astro.ephemeris import sun_position
-from bsk_torch.astro.interpolate import positions
-from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.sim.component import neighbours
+from bsk_torch.lab.bounds.windows import sunlight
 from bsk_torch.sim.dyn.effectors.wheels import base_power_of_wheels
-from bsk_torch.sim.orbit.builder import ARC
-from bsk_torch.sim.orbit.grid import NODE_SPACING
-from bsk_torch.vec3 import Vec3
 
 SINKS = ("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw")
 """Power of devices switched on by actions, W; negative for consumption."""
@@ -36,9 +29,6 @@ NEEDED = (
 )
 """Arguments that determine the bound."""
 
-CHUNK = 512
-"""Number of ticks for which sunlight is computed at once."""
-
 
 def check_bounded(env: SatelliteTasking) -> None:
     """Raise ValueError if the bound does not hold: for satellites without its arguments, or with wheels that return power."""
@@ -49,32 +39,6 @@ def check_bounded(env: SatelliteTasking) -> None:
         raise ValueError("the bound on the charge covers one solar panel; the satellite has a list of panels")
     if bool((env.satellite.sat_args["rwMechToElecEfficiency"] > 0.0).any()):
         raise ValueError("rwMechToElecEfficiency is above 0: braking wheels give power back, which the bound does not count")
-
-
-def sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the illuminated fraction of the Sun and its flux, W/m^2, in ``rows`` [n] at the end of ``ticks`` [T], [n, T] each.
-
-    The episodes must have just begun, and their orbits must be solved in advance. As in a tick, the shadow is computed for the
-    position of the previous tick.
-    """
-    parts = [_sunlight(env, rows, part) for part in ticks.split(CHUNK)]
-    lit, flux = (torch.cat(columns, 1) for columns in zip(*parts, strict=True))
-    return lit, flux
-
-
-def _sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
-    arcs, h = env.simulator.arcs, env.simulator.h
-    owner = rows.repeat_interleave(len(ticks))
-
-    def place(tick: Tensor) -> Tensor:
-        elapsed = (tick * h).repeat(len(rows)) - arcs.start[owner] + ARC.before * NODE_SPACING
-        nodes, tau = neighbours(ARC, arcs.flown, owner, elapsed)
-        return positions(nodes, tau / NODE_SPACING)
-
-    sun = sun_position(arcs.et[owner] + (ticks * h).repeat(len(rows)))
-    lit = illumination(Vec3.of(place(ticks - 1)), Vec3.of(sun))
-    flux = SOLAR_FLUX * AU * AU / (sun - place(ticks)).square().sum(-1)
-    return lit.view(len(rows), -1), flux.view(len(rows), -1)
 
 
 def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:

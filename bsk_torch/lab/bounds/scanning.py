@@ -10,20 +10,14 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
-from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import sun_position
 from bsk_torch.astro.frames import angle_between
-from bsk_torch.astro.interpolate import positions
-from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.data import ScanningTimeReward
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.lab.bounds.windows import inertial_positions, sunlight
 from bsk_torch.sats import BoundAccessSatellite
-from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.dyn.effectors.wheels import base_power_of_wheels
 from bsk_torch.sim.fsw import ContinuousImagingFSWModel
-from bsk_torch.sim.orbit.builder import ARC
-from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
-from bsk_torch.vec3 import Vec3
 
 STATIONS = "ground_station"
 """Kind of opportunity in which data can be sent."""
@@ -113,22 +107,15 @@ def scanning_bound(env: SatelliteTasking, *, interval: float = 60.0) -> Scanning
     )
 
 
-def sunlight(env: SatelliteTasking, row: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
-    """Power per area, W/m^2, of sunlight on a panel that faces the Sun, at the ends of ``ticks`` [T] of one ``row`` [1], [T].
+def _light(env: SatelliteTasking, row: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the power per area, W/m^2, of sunlight on a panel that faces the Sun, and the angle between Sun and nadir, [T] rad.
 
-    The second tensor, [T] rad, is the angle between Sun and nadir. As in a tick, the shadow is that of the position one tick ago.
+    Both are those at the ends of ``ticks`` [T] of one ``row`` [1].
     """
-    arcs, h = env.simulator.arcs, env.simulator.h
-    rows = row.expand(len(ticks))
-
-    def place(tick: Tensor) -> Tensor:
-        nodes, tau = neighbours(ARC, arcs.flown, rows, tick * h - arcs.start[rows] + LEAD_NODES * NODE_SPACING)
-        return positions(nodes, tau / NODE_SPACING)
-
-    sun, position = sun_position(arcs.et[rows] + ticks * h), place(ticks)
-    lit = illumination(Vec3.of(place(ticks - 1)), Vec3.of(sun))
-    flux = SOLAR_FLUX * AU * AU / (sun - position).square().sum(-1)
-    return lit * flux, angle_between(sun - position, -position)
+    arcs, rows, time = env.simulator.arcs, row.expand(len(ticks)), ticks * env.simulator.h
+    lit, flux = sunlight(env, row, ticks)
+    position = inertial_positions(arcs, rows, time)
+    return (lit * flux).squeeze(0), angle_between(sun_position(arcs.et[rows] + time) - position, -position)
 
 
 def _row_bound(
@@ -139,7 +126,7 @@ def _row_bound(
     args = {name: float(value[row]) for name, value in _scalars(env).items()}
     args["wheels"] = float(base_power_of_wheels(env.satellite.sat_args, len(env.env_ids))[row])
     ticks = torch.arange(1, limit + 1, dtype=torch.float64)
-    power, angle = sunlight(env, row, ticks)
+    power, angle = _light(env, row, ticks)
     gain = power * args["panelArea"] * args["panelEfficiency"]
     panel, instrument = env.satellite.sat_args["nHat_B"][row], env.satellite.sat_args["inst_pHat_B"][row]
     turned, tolerance = float(angle_between(panel, instrument)), 4.0 * math.atan(min(args["imageAttErrorRequirement"], 1.0))

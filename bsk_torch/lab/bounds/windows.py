@@ -1,4 +1,4 @@
-"""Where satellites and targets are during an episode, and when images are possible: what bounds and schedules read."""
+"""Where satellites are during an episode, in what light, and when images are possible: what bounds and schedules read."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.eclipse import illumination
+from bsk_torch.astro.ephemeris import sun_position
 from bsk_torch.astro.interpolate import positions
+from bsk_torch.constants import AU, SOLAR_FLUX
+from bsk_torch.env import SatelliteTasking
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, fixed
+from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.sim.places import TARGET_KIND
@@ -18,6 +23,9 @@ from bsk_torch.vec3 import Vec3
 
 CHUNK = 1 << 18
 """Positions interpolated at once."""
+
+TICKS = 512
+"""Ticks for which sunlight is computed at once."""
 
 
 def satellite_positions(satellite: BoundAccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
@@ -31,11 +39,35 @@ def satellite_positions(satellite: BoundAccessSatellite, rows: Tensor, time: Ten
 
 def _positions(satellite: BoundAccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
     arcs = satellite.simulator.lookahead.flight
-    elapsed = time - arcs.start[rows]
-    nodes, tau = neighbours(ARC, arcs.flown, rows, elapsed + LEAD_NODES * NODE_SPACING)
-    records, since = neighbours(EPHEMERIS_TRACK, arcs.ephemeris, rows, elapsed)
+    records, since = neighbours(EPHEMERIS_TRACK, arcs.ephemeris, rows, time - arcs.start[rows])
     ephemeris = ephemeris_at(records.flatten(1).unbind(-1), since)
-    return torch.stack(list(fixed(ephemeris, Vec3.of(positions(nodes, tau / NODE_SPACING)))), -1)
+    return torch.stack(list(fixed(ephemeris, Vec3.of(inertial_positions(arcs, rows, time)))), -1)
+
+
+def inertial_positions(arcs: Arcs, rows: Tensor, time: Tensor) -> Tensor:
+    """Return the positions of ``rows`` [m] at ``time`` [m] s since reset on the orbits that ticks fly, [m, 3] m in N."""
+    nodes, tau = neighbours(ARC, arcs.flown, rows, time - arcs.start[rows] + LEAD_NODES * NODE_SPACING)
+    return positions(nodes, tau / NODE_SPACING)
+
+
+def sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the illuminated fraction of the Sun and its flux, W/m^2, in ``rows`` [n] at the end of ``ticks`` [T], [n, T] each.
+
+    The episodes must have just begun, and their orbits must be solved in advance. As in a tick, the shadow is computed for the
+    position of the previous tick.
+    """
+    parts = [_sunlight(env, rows, part) for part in ticks.split(TICKS)]
+    lit, flux = (torch.cat(columns, 1) for columns in zip(*parts, strict=True))
+    return lit, flux
+
+
+def _sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
+    arcs, h = env.simulator.arcs, env.simulator.h
+    owner, tick = rows.repeat_interleave(len(ticks)), ticks.repeat(len(rows))
+    sun = sun_position(arcs.et[owner] + tick * h)
+    lit = illumination(Vec3.of(inertial_positions(arcs, owner, (tick - 1) * h)), Vec3.of(sun))
+    flux = SOLAR_FLUX * AU * AU / (sun - inertial_positions(arcs, owner, tick * h)).square().sum(-1)
+    return lit.view(len(rows), -1), flux.view(len(rows), -1)
 
 
 class Openings(NamedTuple):

@@ -109,16 +109,15 @@ def board_of(
     return Board(suite, scores, replicates, tasks, against or best, flights, libraries, budgets)
 
 
-def with_references(replicates: Mapping[str, Tensor], scales: Sequence[Mapping[str, Any]], seed: int = 0) -> dict[str, Tensor]:
+def with_references(replicates: Mapping[str, Tensor], scales: Sequence[Mapping[str, Any]]) -> dict[str, Tensor]:
     """Return resampled scores [B, R, T] as those of references that are uncertain, too, the same draws for all methods.
 
     Args:
         replicates: Resampled scores by method, with the references at their means.
         scales: References of each task, see :func:`~bsk_torch.lab.suites.suite.references`. An end with a ``half_width`` is drawn
             from the normal distribution of that 95 % interval; others count as exact.
-        seed: Seed of the draws.
     """
-    generator, count = torch.Generator().manual_seed(seed), len(next(iter(replicates.values())))
+    generator, count = torch.Generator().manual_seed(0), len(next(iter(replicates.values())))
     normal = torch.randn(2, count, 1, len(scales), generator=generator, dtype=torch.float64)
     spread = [[scale[end].get("half_width", 0.0) / NormalDist().inv_cdf(0.975) for scale in scales] for end in ("low", "high")]
     size = torch.tensor([scale["high"]["return"] - scale["low"]["return"] for scale in scales], dtype=torch.float64)

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Policy, Trust, flag
@@ -174,7 +175,7 @@ def cells(failure: Failure) -> dict[str, str]:
     }
 
 
-def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, figure: Any) -> None:
+def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, figure: ModuleType) -> None:
     """Draw the episode of a failure over time, with its cause and its last chance, as a replay of ``actions`` [T] in ``env``."""
     from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
     from bsk_torch.rl.evaluation.replay import script

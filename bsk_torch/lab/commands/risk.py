@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated
 
 from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy, Trust, flag
 from bsk_torch.cli.shared import check_writable, drawing, extra, made, preset_options
@@ -164,7 +165,7 @@ def of_shift(shift: Shift) -> dict[str, str]:
     }
 
 
-def draw_way(risk: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path, figure: Any) -> None:
+def draw_way(risk: Risk, named: NamedPolicy, options: Mapping[str, object], path: Path, figure: ModuleType) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
     import torch
 

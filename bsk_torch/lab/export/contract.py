@@ -327,7 +327,7 @@ def page(contract: Mapping[str, Any], files: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
-def rows(columns: Sequence[str], values: Sequence[Mapping[str, Any]]) -> list[str]:
+def rows(columns: Sequence[str], values: Sequence[Mapping[str, object]]) -> list[str]:
     """Return a table in Markdown."""
     head = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
     return head + [f"| {' | '.join(cell(value[name]) for name in columns)} |" for value in values]

@@ -38,7 +38,7 @@ def export_policy(
     *,
     preset: str | None = None,
     shield: str | None = None,
-    **options: Any,
+    **options: object,
 ) -> dict[str, dict[str, Any]]:
     """Write a trained policy as ``policy.onnx``, ``policy.pt2`` or ``policy.c``, with ``contract.json`` and ``contract.md``.
 

@@ -8,7 +8,7 @@ import logging
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -56,7 +56,7 @@ def program_of(graph: PolicyGraph, record: Record) -> ExportedProgram:
         return torch.export.export(graph.eval(), inputs, dynamic_shapes=(tuple({0: rows} for _ in inputs),))
 
 
-def torch_file(program: ExportedProgram, contract: Mapping[str, Any]) -> bytes:
+def torch_file(program: ExportedProgram, contract: Mapping[str, object]) -> bytes:
     """Return a file of ``torch.export.save`` with the contract among its extra files."""
     buffer = io.BytesIO()
     with quiet():
@@ -64,7 +64,7 @@ def torch_file(program: ExportedProgram, contract: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def onnx_file(program: ExportedProgram, graph: PolicyGraph, contract: Mapping[str, Any]) -> bytes:
+def onnx_file(program: ExportedProgram, graph: PolicyGraph, contract: Mapping[str, object]) -> bytes:
     """Return an ONNX file of standard operators, with the contract in its metadata."""
     from onnxscript import opset18 as op
 

@@ -44,9 +44,7 @@ class Record:
 
 
 @torch.no_grad()
-def recorded(
-    env: Tasking, policies: Mapping[str, TensorDictModuleBase], graphs: Mapping[str, PolicyGraph], decisions: int = DECISIONS
-) -> dict[str, Record]:
+def recorded(env: Tasking, policies: Mapping[str, TensorDictModuleBase], graphs: Mapping[str, PolicyGraph]) -> dict[str, Record]:
     """Fly the episodes of seeds 0, 1, ..., and return decisions of each group, evenly spread over the flight.
 
     Outputs are those of ``graphs``; without a shield, they must be what the ``policies`` decided.
@@ -76,7 +74,7 @@ def recorded(
     records = {}
     for name, parts in asked.items():
         rows = cast(TensorDictBase, torch.cat(parts))
-        some = rows[torch.linspace(0, len(rows) - 1, min(decisions, len(rows)), dtype=torch.float32).long()]
+        some = rows[torch.linspace(0, len(rows) - 1, min(DECISIONS, len(rows)), dtype=torch.float32).long()]
         inputs = {path: some[path] for path in graphs[name].paths}
         outputs = dict(zip(graphs[name].outputs, graphs[name](*inputs.values()), strict=True))
         if not graphs[name].only and not torch.allclose(outputs["action"], some["action"], rtol=0.0, atol=1e-5):

@@ -61,7 +61,7 @@ BY_HAND = ("value", "price", "prior")
 def options_in(name: str, texts: Sequence[str]) -> dict[str, Any]:
     """Return the options of a planner in texts ``NAME=VALUE``; ValueError for others, and for unknown or unfit names."""
     allowed = [option for option in options_of(name) if option not in BY_HAND]
-    options: dict[str, Any] = {}
+    options: dict[str, object] = {}
     for text in texts:
         option, equals, value = text.partition("=")
         if not equals or not value:

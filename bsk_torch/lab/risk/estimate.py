@@ -31,8 +31,6 @@ from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.statistics import confidence, wilson
 from bsk_torch.sim.names import one_of
 
-__all__ = ["METHODS", "Interval", "Risk", "Screening", "Shift", "Way", "risk"]
-
 SUBSET, SCREEN = METHODS = ("subset", "screen")
 """Names of the methods: subset simulation and screened sampling."""
 

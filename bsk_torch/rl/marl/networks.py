@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu
 
+from bsk_torch.rl.networks.attention import mean_where
+
 
 class DecidingOnly(nn.Module):
     """A network evaluated for satellites that decide only.
@@ -77,9 +79,3 @@ class ConstellationCritic(Gist):
             return self.value(each)
         team = mean_where(torch.cat(gists, -2), torch.cat(alive, -1)).unsqueeze(-2)
         return self.value(torch.cat([each, team.expand_as(each)], -1))
-
-
-def mean_where(x: Tensor, mask: Tensor) -> Tensor:
-    """Mean [..., W] of those x [..., K, W] where ``mask`` [..., K] is true; zero if there are none."""
-    weight = mask.unsqueeze(-1).to(x.dtype)
-    return (x * weight).sum(-2) / weight.sum(-2).clamp(min=1.0)

@@ -6,7 +6,6 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
@@ -58,7 +57,7 @@ def train(
     algorithm: str | None = None,
     episodes: int | None = None,
     quiet: bool = False,
-    **settings: Any,
+    **settings: object,
 ) -> Trained:
     """Train a policy in an environment, and compare it with random actions and rules in unseen episodes.
 

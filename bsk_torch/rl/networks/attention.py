@@ -104,6 +104,10 @@ class SetCritic(nn.Module):
         batch = satellite.shape[:-1]
         satellite, rows, mask = satellite.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
         tokens = self.encoder(satellite, rows, mask)
-        weight = mask.unsqueeze(-1).to(tokens.dtype)
-        mean = (tokens[:, 1:] * weight).sum(1) / weight.sum(1).clamp(min=1.0)
-        return self.value(torch.cat([tokens[:, 0], mean], -1)).view(*batch, 1)
+        return self.value(torch.cat([tokens[:, 0], mean_where(tokens[:, 1:], mask)], -1)).view(*batch, 1)
+
+
+def mean_where(x: Tensor, mask: Tensor) -> Tensor:
+    """Mean [..., W] of those x [..., K, W] where ``mask`` [..., K] is true; zero if there are none."""
+    weight = mask.unsqueeze(-1).to(x.dtype)
+    return (x * weight).sum(-2) / weight.sum(-2).clamp(min=1.0)

@@ -145,7 +145,7 @@ class Interface:
         view = member_view(env)
         order, is_real = self.check(view, where), form(view.satellite) is not None
 
-        def choose(observation: Any, action_mask: Tensor | None = None) -> object:
+        def choose(observation: object, action_mask: Tensor | None = None) -> object:
             parts = leaves(observation, action_mask)
             return network([parts[name] for name in order], action_mask)
 
@@ -173,7 +173,7 @@ def name_of(text: str) -> str:
     return {"obs": OBSERVATION, "mask": MASK, "action_masks": MASK}.get(name, name)
 
 
-def leaves(observation: Any, mask: Tensor | None) -> dict[str, Tensor]:
+def leaves(observation: object, mask: Tensor | None) -> dict[str, Tensor]:
     """Return the observation vector, or the parts of a named observation by joined names, and the mask if there is one."""
     tree = map_leaves(observation, lambda part: part)
     parts = {OBSERVATION: tree} if isinstance(tree, Tensor) else flat(tree)

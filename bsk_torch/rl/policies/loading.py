@@ -165,7 +165,7 @@ def is_policy(named: Any) -> bool:
         return False
 
 
-def library_of(named: Any) -> str:
+def library_of(named: object) -> str:
     """Return the package of an object, with its version where it is known."""
     module = getattr(named, "__module__", None) or type(named).__module__
     package = module.partition(".")[0]
@@ -229,7 +229,7 @@ def _planned(name: str, env: Tasking, trust: bool) -> TensorDictModuleBase:
     plain, *texts = name.removeprefix(PREFIX).split(",")
     if plain not in PLANNERS:
         raise ValueError(f"{name!r} is not a planner; {nearest(PREFIX + plain, [PREFIX + one for one in PLANNERS])}")
-    options: dict[str, Any] = resolve("bsk_torch.lab.planners.names:options_in")(plain, texts)
+    options: dict[str, object] = resolve("bsk_torch.lab.planners.names:options_in")(plain, texts)
     base = {"base": load_policy(str(options["base"]), env, trust=trust)} if "base" in options else {}
     made: TensorDictModuleBase = resolve("bsk_torch.lab.planners.names:planner")(plain, env, **options | base)
     return made

@@ -182,7 +182,7 @@ def _screened(content: bytes) -> bytes:
     return clean.getvalue()
 
 
-def _cleaned(value: Any, key: str = "") -> Any:
+def _cleaned(value: object, key: str = "") -> object:
     """Return JSON of an exported program without :data:`EMPTY`; ValueError for what torch would unpickle, evaluate or call."""
     if key in EMPTY:
         return EMPTY[key]

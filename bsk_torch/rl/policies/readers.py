@@ -66,7 +66,7 @@ class ObservationReader:
                 places = [before[keys[k]] + k - starts[keys[k]] for k in columns]
                 self.quantities[name] = Quantity(columns, parts, places, shape, norm)
 
-    def __call__(self, observation: Tensor | TensorDictBase | Mapping[str, Any], name: str) -> Tensor:
+    def __call__(self, observation: Tensor | TensorDictBase | Mapping[str, object], name: str) -> Tensor:
         """Return a quantity, [N], [N, width], or of n candidates [N, n] or [N, n, width].
 
         Args:
@@ -126,12 +126,12 @@ def _part(observation: Any, key: tuple[str, ...]) -> Tensor:
 
 def _quantities(
     entry: Observation, own: Sequence[int], keys: Sequence[tuple[str, ...]]
-) -> dict[str, tuple[list[int], tuple[int, ...], Any]]:
+) -> dict[str, tuple[list[int], tuple[int, ...], object]]:
     """Return columns, shape and norm by full name of what an ``entry`` observes in the columns ``own``."""
     top, source = entry.unique_name, entry.observation if isinstance(entry, Noisy) else entry
     norms = dict(map(_named, getattr(source, "entries", ())))
     alone = getattr(source, "norm", None)
-    quantities: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
+    quantities: dict[str, tuple[list[int], tuple[int, ...], object]] = {}
     if isinstance(source, CandidateObservation) and source.as_set:
         return _of_set(source, top, norms, own)
     n = source.n_ahead_observe if isinstance(source, CandidateObservation) else 1
@@ -147,8 +147,8 @@ def _quantities(
 
 
 def _of_set(
-    entry: CandidateObservation, top: str, norms: Mapping[str, Any], own: Sequence[int]
-) -> dict[str, tuple[list[int], tuple[int, ...], Any]]:
+    entry: CandidateObservation, top: str, norms: Mapping[str, object], own: Sequence[int]
+) -> dict[str, tuple[list[int], tuple[int, ...], object]]:
     """Return the same for candidates observed as a set: rows [n, F], then the mask [n]."""
     n = entry.n_ahead_observe
     total = len(own) // n - 1
@@ -157,7 +157,7 @@ def _of_set(
         raise ValueError(
             f"{top!r} has {total} columns, not {sum(widths.values())}: a function gives several; read these by column"
         )
-    quantities: dict[str, tuple[list[int], tuple[int, ...], Any]] = {}
+    quantities: dict[str, tuple[list[int], tuple[int, ...], object]] = {}
     at = 0
     for name, width in widths.items():
         columns = [own[row * total + at + k] for row in range(n) for k in range(width)]

@@ -158,14 +158,12 @@ def _fault(archive: Archive) -> str:
     return ""
 
 
-def _space(data: Mapping[str, Any], name: str) -> str:
-    """Return the class of a space."""
+def _space(data: Mapping[str, object], name: str) -> str:
     space = data.get(name)
     return str(space.get(":type:", "")).rpartition(".")[2].removesuffix("'>") if isinstance(space, dict) else ""
 
 
 def _activation(archive: Archive) -> str:
-    """Return the class of the activation."""
     chosen = archive.data["policy_kwargs"].get("activation_fn")
     return ACTORS[archive.module].activation if chosen is None else str(chosen).rpartition(".")[2].removesuffix("'>")
 
@@ -247,7 +245,7 @@ class NormalizedModel(ModelPolicy):
     statistics: Any = None
 
     @override
-    def _inputs(self, observation: Any) -> object:
+    def _inputs(self, observation: object) -> object:
         inputs = super()._inputs(observation)
         return inputs if self.statistics is None else self.statistics.normalize_obs(inputs)
 

@@ -105,8 +105,8 @@ class Stagger(Transform):
         return tensordict_reset.set(CUT, torch.zeros_like(tensordict_reset["done"]))
 
 
-def _environment(transform: Transform) -> Any:
-    return cast(TransformedEnv, transform.parent).base_env
+def _environment(transform: Transform) -> Tasking:
+    return cast("Tasking", cast(TransformedEnv, transform.parent).base_env)
 
 
 class Bookmark(Transform):

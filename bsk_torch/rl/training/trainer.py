@@ -398,7 +398,6 @@ def _alike(state: Any, other: Any) -> bool:
 
 
 def _finite(state: dict[str, Any] | Tensor) -> bool:
-    """Return whether all tensors of nested dictionaries are finite."""
     return all(map(_finite, state.values())) if isinstance(state, dict) else bool(state.isfinite().all())
 
 
@@ -445,7 +444,7 @@ def check_resumable(out: Path) -> None:
         raise FileNotFoundError(f"{str(out)!r} holds no {CHECKPOINT} to resume from")
 
 
-def fixed(config: PPOConfig) -> dict[str, Any]:
+def fixed(config: PPOConfig) -> dict[str, object]:
     """Return the settings :data:`FIXED` of a configuration; of the options those that files keep."""
     options = {name: tuple(value) if isinstance(value, list) else value for name, value in plain(config.options).items()}
     return {name: getattr(config, name, None) for name in FIXED} | {"options": options}

@@ -6,7 +6,7 @@ import functools
 import importlib.resources
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -106,13 +106,15 @@ class AEOSBenchGenerator:
         shape = len(key), self.n_satellites
         number = key.named("aeos_pool").distinct(self.n_satellites, len(pool()["mass"]))
         crafts = {name: values[number] for name, values in pool().items()}
+        places, tasks = self._jobs(key)
         return Cases(
             names=(),
             satellites=crafts | self._hulls(key) | {"oe": self._elements(key)},
             present=present,
             sensors=torch.ones(shape, dtype=torch.float64),
             enabled=torch.zeros(shape, dtype=torch.bool),
-            **self._jobs(key),
+            places=places,
+            tasks=tasks,
         )
 
     def _hulls(self, key: Key) -> dict[str, Tensor]:
@@ -142,7 +144,8 @@ class AEOSBenchGenerator:
         number = key.named("aeos_real_orbit").distinct(self.n_satellites, len(self.orbits))
         return torch.cat([self.orbits[number], turns[..., 2:]], -1)
 
-    def _jobs(self, key: Key) -> dict[str, Any]:
+    def _jobs(self, key: Key) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return places, and the other numbers of tasks."""
         u = _uniform(key.named("aeos_task"), self.n_tasks, 5)
         exists = _count(key.named("aeos_tasks"), *self.tasks).unsqueeze(1) > torch.arange(self.n_tasks)
         duration = _integer(u[..., 0], *DURATIONS)
@@ -150,7 +153,7 @@ class AEOSBenchGenerator:
         due = _integer(u[..., 2], release + 3.0 * duration, HORIZON)
         places = on_sphere(_within(u[..., 3], -90.0, 90.0), _within(u[..., 4], -180.0, 180.0))
         tasks = {"release": release, "due": due, "duration": torch.where(exists, duration, 0.0), "type": torch.ones_like(due)}
-        return {"places": places, "tasks": tasks}
+        return places, tasks
 
 
 def _span(title: str, value: int | tuple[int, int]) -> tuple[int, int]:

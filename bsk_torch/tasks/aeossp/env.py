@@ -94,7 +94,7 @@ class CaseImager(sats.RequestSatellite):
     fsw_type = CaseFSWModel
 
 
-def case_env(case: Case | str | Path, num_envs: int = 1, *, tick: float = TICK, **options: Any) -> ConstellationTasking:
+def case_env(case: Case | str | Path, num_envs: int = 1, *, tick: float = TICK, **options: object) -> ConstellationTasking:
     """Return a case as an environment, the same in every episode.
 
     Args:
@@ -113,7 +113,7 @@ def case_env(case: Case | str | Path, num_envs: int = 1, *, tick: float = TICK, 
 
 
 def drawn_case_env(
-    case: Case | str | Path, num_envs: int = 1, *, hours: float = 2.0, tick: float = TICK, **options: Any
+    case: Case | str | Path, num_envs: int = 1, *, hours: float = 2.0, tick: float = TICK, **options: object
 ) -> ConstellationTasking:
     """Return an environment whose episodes are drawn in the manner of a case, to learn from.
 
@@ -142,7 +142,7 @@ def drawn_case_env(
         duration=rand.Choice(case.requests.duration_s.tolist()),
     )
     arguments = _imaging_arguments(case, tick)
-    orbits: dict[str, list[Any]] = {}
+    orbits: dict[str, list[object]] = {}
     for satellite, row in zip(case.satellites, arguments, strict=True):
         orbits.setdefault(satellite.sensor, []).append(row["oe"])
     for satellite, row in zip(case.satellites, arguments, strict=True):
@@ -168,7 +168,7 @@ def _env(
     return ConstellationTasking(satellites, requests, data.RequestReward(), num_envs=num_envs, sim_rate=tick, **options)
 
 
-def _imaging_arguments(case: Case, tick: float) -> list[dict[str, Any]]:
+def _imaging_arguments(case: Case, tick: float) -> list[dict[str, object]]:
     """Return the arguments of the satellites: those of flights of plans, and what looks ask for."""
     crew = range(len(case.satellites))
     radius = np.linalg.norm(tracks(case).r, axis=-1).min(-1)
@@ -194,7 +194,7 @@ def _least_elevation(case: Case, number: int, radius: float) -> float:
     return math.acos(radius / R_EARTH * math.sin(math.radians(satellite.off_nadir))) + SLACK
 
 
-def _requests(case: Case, weight: object = None, **times: Any) -> scene.Requests:
+def _requests(case: Case, weight: object = None, **times: object) -> scene.Requests:
     """Return the tasks of a case, or with another ``weight`` and ``times``."""
     requests = case.requests
     weights = requests.weight if weight is None else weight

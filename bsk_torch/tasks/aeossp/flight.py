@@ -174,7 +174,7 @@ def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power:
     return simulator
 
 
-def _at_nadir(orbit: ElementSet, et: float) -> dict[str, Any]:
+def _at_nadir(orbit: ElementSet, et: float) -> dict[str, object]:
     """Return the attitude and the rate, rad/s, with which B turns as the Hill frame does, at ET, s."""
     r, v = orbit.state_at(torch.tensor([et], dtype=torch.float64))
     rate = torch.linalg.cross(r, v).norm() / r.square().sum()
@@ -192,7 +192,7 @@ def crew_arguments(
     return [row | {"wheels": rows[0]["wheels"]} for row in rows]  # of which each satellite has its own numbers
 
 
-def _arguments(case: Case, number: int, factor: float, power: str, tick: float) -> dict[str, Any]:
+def _arguments(case: Case, number: int, factor: float, power: str, tick: float) -> dict[str, object]:
     satellite = case.satellites[number]
     spacecraft = craft.from_slew_limits(
         factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick

@@ -188,7 +188,6 @@ def find_passes(case: Case, positions: Tracks, most_rate: Sequence[float] | None
 
 
 def _passes_of(case: Case, positions: Tracks, number: int, most_rate: float | None) -> tuple[Numbers, ...]:
-    """Return the fields of the passes of a satellite."""
     requests, satellite, step = case.requests, case.satellites[number], case.step_s
     matches = np.flatnonzero([sensor == satellite.sensor for sensor in requests.sensor])
     task, k = _near(positions, number, matches, satellite.off_nadir, requests.release_s // step, requests.due_s // step)

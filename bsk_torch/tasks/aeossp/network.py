@@ -130,7 +130,6 @@ def _reach(satellite: CaseSatellite, step_s: int, margin_s: float) -> int:
 
 
 def _clusters(passes: Passes, reach: Numbers) -> Numbers:
-    """Return the numbers of the clusters of passes."""
     cluster = np.zeros(len(passes), dtype=np.int64)
     last = passes.first + passes.starts - 1 + passes.length
     current, free, satellite = -1, 0, -1

@@ -102,7 +102,6 @@ def plan(
 
 
 def _observations(case: Case, network: Network, nodes: Numbers) -> Observations:
-    """Return nodes as observations."""
     satellite = network.passes.satellite[network.of[nodes]]
     order = np.lexsort((network.start[nodes], satellite))
     nodes, step = nodes[order], case.step_s

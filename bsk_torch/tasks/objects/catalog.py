@@ -142,7 +142,7 @@ class RSOTarget:
             number(f"{title}: {name}", value, 0.0, above=True)
         object.__setattr__(self, "physical_parameters", tuple((_physical_defaults() | dict(pairs)).items()))
 
-    def sat_args(self) -> dict[str, Any]:
+    def sat_args(self) -> dict[str, object]:
         """Return the arguments that bsk_rl's scenario, and that of ``bsk_torch.bsk_rl``, give the satellite in its place."""
         state = {name: list(getattr(self, name)) for name in ("rN", "vN", "sigma_init", "omega_init")}
         idle = dict.fromkeys(("basePowerDraw", "rwBasePower"), 0.0)

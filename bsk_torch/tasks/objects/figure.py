@@ -357,7 +357,6 @@ def _sky_legend(sky: Sky) -> list[Artist]:
 
 
 def _ring(color: str, name: str) -> Line2D:
-    """Return a legend entry for a ring."""
     return Line2D([], [], linestyle="", marker="o", markersize=9.0, markerfacecolor="none", markeredgecolor=color, label=name)
 
 

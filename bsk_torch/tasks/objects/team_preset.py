@@ -283,7 +283,7 @@ def three_sensors(
     outlook: bool = False,
     shielded: bool = False,
     obs_type: type | None = None,
-    **options: Any,
+    **options: object,
 ) -> ConstellationTasking:
     """Return ThreeSensors-v1; see the module.
 

@@ -18,7 +18,7 @@ from bsk_torch.tasks.inspection import figure as pictures
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
 from bsk_torch.viz.figures.style import PALETTE
-from tests.support.figures import check_column
+from tests.support.figures import check_column, figure_of
 from tests.tasks.inspection.inspecting import RSO, Inspector, chief_args, inspection, inspector_args
 
 PNG = b"\x89PNG"
@@ -56,22 +56,9 @@ def episode():
 
 
 @pytest.fixture
-def drawn(tmp_path, monkeypatch):
+def drawn(tmp_path):
     """Draws an episode; its figure."""
-    kept, save = [], pictures.save
-
-    def keep(figure, path):
-        kept.append(figure)
-        return save(figure, path)
-
-    monkeypatch.setattr(pictures, "save", keep)
-
-    def draw(episode, title="Two") -> Figure:
-        path = pictures.inspection_figure(episode, tmp_path / "inspection.png", title)
-        assert path.read_bytes()[:4] == PNG
-        return kept[-1]
-
-    return draw
+    return lambda episode, title="Two": figure_of(pictures.inspection_figure, episode, tmp_path / "inspection.png", title)
 
 
 def legend(figure: Figure) -> list[str]:

@@ -24,7 +24,7 @@ from bsk_torch.viz.figures.timeline import TrackEpisode
 from bsk_torch.viz.render.frames import frames
 from bsk_torch.viz.render.marks import DONE, color_of
 from bsk_torch.viz.render.moment import look
-from tests.support.figures import check_column
+from tests.support.figures import check_column, figure_of
 from tests.tasks.objects.objects import KEPT, Imager, catalog, environment, play
 
 pytestmark = pytest.mark.compiled
@@ -78,21 +78,9 @@ def episode():
 
 
 @pytest.fixture
-def drawn(tmp_path, monkeypatch):
+def drawn(tmp_path):
     """Draws by a function; its figure."""
-    kept, save = [], pictures.save
-
-    def keep(figure, path):
-        kept.append(figure)
-        return save(figure, path)
-
-    monkeypatch.setattr(pictures, "save", keep)
-
-    def draw(function, what, title="Two"):
-        assert function(what, tmp_path / "picture.png", title).read_bytes()[:4] == PNG
-        return kept[-1]
-
-    return draw
+    return lambda function, what, title="Two": figure_of(function, what, tmp_path / "picture.png", title)
 
 
 def legend(figure):

@@ -6,8 +6,6 @@ from typing import Literal, NoReturn
 
 import numpy as np
 
-__all__ = ["compute_value_targets_time_discounted"]
-
 ADVICE = (
     "is a part of RLlib's learner, which bsk_torch does not have. Its own PPO and MAPPO discount by seconds ('bsk-torch train'), "
     "and compute_value_targets_time_discounted serves other learners"
