@@ -20,6 +20,7 @@ def test_a_level_follows_from_the_duration():
     durations = {"slow": 2 * SLOW, "long": 2 * LONG, "fast": SLOW, "unmeasured": None}
     assert [level(name, durations) for name in ("new", "fast", "slow")] == ["default", "default", "full"]
     assert [level(name, durations) for name in ("long", "unmeasured")] == ["nightly", "nightly"]
+    assert level("fast", durations, at_night=True) == "nightly"
 
 
 def exists(name):

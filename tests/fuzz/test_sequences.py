@@ -302,6 +302,7 @@ def test_random_sequences_keep_the_laws(preset):
     run(preset, 3, 20)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", PRESETS)
 def test_many_random_sequences_keep_the_laws(preset):
     run(preset, 100, 40)

@@ -9,10 +9,10 @@ nothing, because it is built before the tests; any other kernel costs its compil
 import json
 import resource
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from ctypes import CDLL
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -68,12 +68,17 @@ def levels_of(config: pytest.Config) -> tuple[str, ...]:
     return wanted
 
 
-def level(name: str, durations: dict[str, float | None]) -> str:
-    """Level of a test by its id."""
+def others_at_night(values: Iterable[str], *kept: str) -> list[Any]:
+    """Parameters of a test of many alike, such as presets: the kept ones run as their duration says, others only at night."""
+    return [value if value in kept else pytest.param(value, marks=pytest.mark.nightly) for value in values]
+
+
+def level(name: str, durations: dict[str, float | None], at_night: bool = False) -> str:
+    """Level of a test by its id, and by whether it is marked for the night."""
     seconds = durations.get(name, 0.0)
     if name in PROMISES.values():
         return "default"
-    if seconds is None or seconds > LONG:
+    if at_night or seconds is None or seconds > LONG:
         return "nightly"
     return "default" if seconds <= SLOW else "full"
 
@@ -91,7 +96,7 @@ def _file(test: str) -> str:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of the levels and the shard, the file that takes longest first."""
     durations, wanted = read_durations(), levels_of(config)
-    kept = [item for item in items if level(item.nodeid, durations) in wanted]
+    kept = [item for item in items if level(item.nodeid, durations, item.get_closest_marker("nightly") is not None) in wanted]
     groups: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in kept:
         item.stash[NAME] = item.nodeid
