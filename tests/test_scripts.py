@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from bsk_torch.tasks.aeossp import thinned, write_solution
 from tests.support.programs import run_script
 from tests.support.rounding import ABSOLUTE, RELATIVE, to_rounding
 from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
+from tests.tasks.aeossp.flown_case import small, write_case
 
 ROOT = Path(__file__).parents[1]
 
@@ -87,10 +89,10 @@ benchmarks/aeos_bench.py --cases 2 --batch 2 --time-limit 60 --satellites 2 3 --
   compiled: (?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \|[ ]
 benchmarks/aeossp.py --folder {root}/tests/tasks/aeossp --cases data --models flyable --margins 5
   compiled: \| data \| flyable \| 5 \| 0\.\d+ \| 0\.\d+ \|
-benchmarks/aeossp_flown.py --folder {root}/tests/tasks/aeossp --cases data --plans solution.json --slacks 5
-  compiled: \\| data \\| solution \\| 5
-benchmarks/aeossp_policy.py --folder {root}/tests/tasks/aeossp --case data --learn data --frames 32 --num-envs 2
-  compiled: (?s)\| data \| farsighted \| 0\.\d+ \|.*\| data \| policy \| 0\.\d+ \|
+benchmarks/aeossp_flown.py --folder {flights} --cases small --plans solution.json --slacks 5
+  compiled: \| small \| solution \| 5 \|
+benchmarks/aeossp_policy.py --folder {flights} --case small --learn small --frames 32 --num-envs 2
+  compiled: (?s)\| small \| farsighted \| 0\.\d+ \|.*\| small \| policy \| 0\.\d+ \|
 benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --time-limit 300 --out sites.json
   compiled: commit
 benchmarks/requests.py --batches 2 --requests 20 --hours 0.5 --steps 2
@@ -328,7 +330,7 @@ def test_runs(path, start, tmp_path):
     if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
         pytest.skip("needs .venv, which scripts/test.sh makes")
     values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl", "tmp": str(tmp_path)}
-    values |= {"orbits": "orbits.zip", "cases": "cases"}
+    values |= {"orbits": "orbits.zip", "cases": "cases", "flights": "flights"}
     if "{countries}" in start.arguments:
         write_countries(tmp_path / values["countries"])
     if "{orbits}" in start.arguments:
@@ -336,6 +338,10 @@ def test_runs(path, start, tmp_path):
     if "{cases}" in start.arguments:
         for name in ("00001", "00002"):
             write(tmp_path / "cases" / name, constellation(2), tasks(40))
+    if "{flights}" in start.arguments:
+        case, plan = small()
+        write_case(tmp_path / "flights" / "small", case)
+        write_solution(tmp_path / "flights" / "small" / "solution.json", case, thinned(case, plan, 0.0))
     printed = run(tmp_path, path, *start.arguments.format(**values).split())
     assert re.search(start.printed, printed), printed
 

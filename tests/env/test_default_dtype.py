@@ -67,7 +67,8 @@ def digest(tensor):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize(("dtype", "cases"), [("bfloat16", SOME), *(pytest.param(name, [*CASES], marks=pytest.mark.nightly) for name in TYPES)])
+@pytest.mark.nightly("cases1", "cases2", "cases3")
+@pytest.mark.parametrize(("dtype", "cases"), [("bfloat16", SOME), *((name, [*CASES]) for name in TYPES)])
 def test_episodes_are_the_same_under_every_default_type(played, dtype, cases):
     expected, found = played("float32", cases), played(dtype, cases)
     assert cases

@@ -9,19 +9,15 @@ from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.files import SAME_EPISODES, read_card
 from bsk_torch.rl.policies.pretrained import FOLDER, makings, pretrained, pretrained_file
 from bsk_torch.rl.policies.shared_policy import shared
-from tests.support.levels import others_at_night
 from tests.support.refusals import check_refusals, refusal
 
 SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
 
 
-SHORT = {name for name in makings() if "Constellation" not in name} - {"Services-v1"}
-"""Presets whose policy flies four episodes in a few seconds."""
-
-
+@pytest.mark.nightly("Services-v1", "RelayConstellation-v1", "Constellation-v1", "AEOSConstellation-v1")
 @pytest.mark.compiled
-@pytest.mark.parametrize("preset", others_at_night(makings(), *SHORT))
+@pytest.mark.parametrize("preset", makings())
 def test_a_pretrained_policy_has_its_score(preset):
     noted, card = makings()[preset], read_card(pretrained_file(preset))
     assert card["preset"] == preset

@@ -11,7 +11,6 @@ import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.runs import configure, training_of
 from tests.support.choices import legal_actions
-from tests.support.levels import others_at_night
 from tests.support.trainings import weights
 
 pytestmark = pytest.mark.compiled
@@ -24,12 +23,10 @@ OPTIONS = {
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs pip install 'bsk_torch[ray]'")
 
-COLLECTORS = (
-    *("single", pytest.param("multi", marks=pytest.mark.nightly)),
-    pytest.param("ray", marks=[needs_ray, pytest.mark.nightly]),
-)
+COLLECTORS = ("single", "multi", pytest.param("ray", marks=needs_ray))
 
-NAMES = others_at_night(PRESETS, "NadirScan-v1", "Constellation-v1")
+OTHERS = set(PRESETS) - {"NadirScan-v1", "Constellation-v1"}
+"""Presets that are tested at night."""
 
 
 def make(name: str, **options):
@@ -53,7 +50,8 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.nightly(*OTHERS)
+@pytest.mark.parametrize("name", PRESETS)
 def test_states_come_back_from_files(name, tmp_path):
     """``torch.save(state.to_dict())``, read without trust, in all forms that a tensordict has: bit for bit."""
     env = make(name, seed=5)
@@ -83,8 +81,9 @@ def config_of(name, collector, frames):
     return configure(name, network="mlp" if name == "NadirScan-v1" else None, frames=frames, options=options, **few, **many)
 
 
+@pytest.mark.nightly(*OTHERS, "multi", "ray")
 @pytest.mark.parametrize("collector", COLLECTORS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PRESETS)
 def test_resumed_trainings_are_the_uninterrupted_ones(name, collector, tmp_path):
     whole, half = config_of(name, collector, 64), config_of(name, collector, 32)
     expected = training_of(whole, tmp_path / "whole").run()

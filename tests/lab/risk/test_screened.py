@@ -58,6 +58,7 @@ def test_a_sum_of_drawn_numbers_exceeds_a_limit_as_often_as_it_must(probability,
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
+@pytest.mark.nightly("0.3")
 def test_estimates_have_no_bias_even_where_draws_explain_nothing(noise):
     _, found, _ = estimate(1e-2, noise, pool=1000, size=40, count=200)
     error = float(found.estimates.std()) / 200**0.5

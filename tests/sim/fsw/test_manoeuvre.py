@@ -44,6 +44,7 @@ def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
 
 
 @pytest.mark.parametrize("compat", [None, "bsk_rl"])
+@pytest.mark.nightly("integrated-bsk_rl")
 def test_a_second_manoeuvre_at_the_same_time(orbit, compat):
     """Is added; with the errors of bsk_rl it replaces the first, and both are paid for (double thrust)."""
     twice, once = make(orbit=orbit, compat=compat), make(orbit=orbit, compat=compat)
