@@ -326,6 +326,7 @@ def run(folder: Path, path: str, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize(("path", "start"), RUNS)
+@pytest.mark.nightly("risk.py-1", "return_vs_computation.py-1", "sustained.py-1")
 def test_runs(path, start, tmp_path):
     if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
         pytest.skip("needs .venv, which scripts/test.sh makes")

@@ -23,6 +23,7 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("orbit", ORBITS)
+@pytest.mark.nightly("integrated")
 def test_partial_steps_leave_other_rows_alone(orbit):
     """Also one that has been pushed and has not flown on yet; it goes on later as if nothing had been in between."""
     env, all_at_once = make(3, orbit=orbit), make(3, orbit=orbit)

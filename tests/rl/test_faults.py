@@ -76,7 +76,7 @@ def whole(processes, tmp_path_factory):
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.nightly(*map(str, range(3, 20)))
+@pytest.mark.nightly(*map(str, range(1, 20)))
 def test_a_killed_training_goes_on_as_if_nothing_had_happened(processes, whole, tmp_path, seed):
     """Killed at a random moment, resumed, killed again, and resumed."""
     out, draw = tmp_path / "run", random.Random(seed)

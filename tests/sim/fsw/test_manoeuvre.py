@@ -27,6 +27,7 @@ def test_burns_are_clipped_to_the_tank_which_is_composed_with_other_software():
     assert Kick().name == "kick"
 
 
+@pytest.mark.nightly("integrated")
 def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
     env = make(orbit=orbit, sim_rate=0.5)
     td = env.reset()
@@ -103,6 +104,7 @@ def test_thirty_manoeuvres_use_a_tank_up():
     assert not env.satellite.fsw.fuel_remaining().item()
 
 
+@pytest.mark.nightly("integrated")
 def test_manoeuvres_touch_no_other_rows(orbit):
     many, alone = make(3, orbit=orbit), make(1, orbit=orbit, env_ids=[1])
     tds = [env.reset() for env in (many, alone)]
