@@ -92,7 +92,7 @@ benchmarks/aeossp.py --folder {root}/tests/tasks/aeossp --cases data --models fl
 benchmarks/aeossp_flown.py --folder {flights} --cases small --plans solution.json --slacks 5
   compiled: \| small \| solution \| 5 \|
 benchmarks/aeossp_policy.py --folder {flights} --case small --learn small --frames 32 --num-envs 2
-  compiled: (?s)\| small \| farsighted \| 0\.\d+ \|.*\| small \| policy \| 0\.\d+ \|
+  compiled: (?s)\| small \| farsighted \| [01]\.\d+ \|.*\| small \| policy \| [01]\.\d+ \|
 benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --time-limit 300 --out sites.json
   compiled: commit
 benchmarks/requests.py --batches 2 --requests 20 --hours 0.5 --steps 2

@@ -1,5 +1,6 @@
-"""Levels of the tests by measured CPU time: what ``scripts/test.sh`` runs by default, with ``--full`` and with ``--nightly``.
+"""Levels of the tests: what ``scripts/test.sh`` runs by default, with ``--full`` and with ``--nightly``.
 
+They follow from CPU times, and from the mark ``nightly`` of tests, or parameters, that are alike to others. The file
 ``tests/durations.json`` lists the tests that take longer than ``SLOW``; ``pytest --measure`` writes it, in the nightly run. A new
 test belongs to the default until it has been measured. A test costs what it computes itself, with its processes, and its part
 of the shared fixtures that it requests, whichever test came first. A kernel that :mod:`tests.support.kernels` lists costs
