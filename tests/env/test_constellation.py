@@ -217,6 +217,7 @@ def test_batch_and_order_do_not_matter(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["one", "two"])
+@pytest.mark.nightly("one")
 def test_back_ends_agree(kind: str) -> None:
     """Ends of steps, tasks and rewards are the same; observations within the difference of the two orbit solvers."""
     eager, compiled = (play(GROUPS_OF[kind](backend), 10) for backend in ("eager", "compiled"))

@@ -148,6 +148,7 @@ def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellit
 
 
 @pytest.mark.parametrize("satellites", [imagers, mixed])
+@pytest.mark.nightly("imagers")
 def test_both_back_ends_agree_on_who_is_present(satellites) -> None:
     eager, compiled = (history(build(satellites(5), backend=backend), 6) for backend in BACKENDS)
     assert eager

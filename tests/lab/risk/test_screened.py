@@ -44,6 +44,7 @@ def estimate(probability, noise, size=100, pool=20_000, learned=200, count=8, se
 
 
 @pytest.mark.parametrize(("probability", "pool"), [(1e-2, 5000), (1e-4, 60_000)])
+@pytest.mark.nightly("0.0001-60000")
 def test_a_sum_of_drawn_numbers_exceeds_a_limit_as_often_as_it_must(probability, pool):
     screen, found, sampling = estimate(probability, 0.1, pool=pool)
     mean, low, high = interval(found.estimates)

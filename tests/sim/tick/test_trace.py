@@ -78,7 +78,7 @@ def flown(env):
         pytest.param("integrated", "compiled", marks=pytest.mark.compiled),
     ],
 )
-@pytest.mark.nightly("integrated-compiled")
+@pytest.mark.nightly("integrated")
 def test_a_component_reads_what_its_leader_records_in_the_same_tick(backend, orbit):
     env = build(backend, orbit=orbit)
     followers, leaders = env.fleet.simulators
