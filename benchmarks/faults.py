@@ -12,6 +12,7 @@ with all, four times as many. Each kind of fault that may occur is expected once
 from __future__ import annotations
 
 import argparse
+import functools
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -63,13 +64,19 @@ def train(name: str, seed: int, options: argparse.Namespace, folder: Path) -> tu
     return policy, training.progress.frames
 
 
+@functools.cache
+def condition(kinds: tuple[str, ...], episodes: int, **world: Any) -> Any:
+    """Return the environment of a condition, in which all policies are judged."""
+    return bsk_torch.make(PRESET, num_envs=episodes, kinds=kinds, **FAULTS, **world)
+
+
 def judge(make_policy: Callable[[Any], Any], options: argparse.Namespace) -> Results:
     """Return survival and return by condition of what ``make_policy`` returns for an environment, with 95 % intervals."""
     found = {}
     world = dict(time_limit=options.time_limit, backend=options.backend)
     for name, kinds in CONDITIONS.items():
         episodes = options.episodes * (4 if kinds == KINDS else 1)
-        env = bsk_torch.make(PRESET, num_envs=episodes, kinds=kinds, **FAULTS, **world)
+        env = condition(kinds, episodes, **world)
         result = evaluate(make_policy(env), env, seed=JUDGED)
         low, high = result.survival_interval
         found[name] = {

@@ -2,7 +2,7 @@
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
-        [--futures 4 12] [--base FOLDER] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...]
+        [--futures 4 12] [--time-limit 2850] [--base FOLDER] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...]
         [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
@@ -28,6 +28,7 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners import Rollout
+from bsk_torch.presets.aeos import ORBIT
 from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.policies.shared_policy import member_view, shared
@@ -66,7 +67,7 @@ COLUMNS = {
 
 def environment(options: argparse.Namespace, episodes: int, **more: Any) -> Tasking:
     """Return the environment of so many episodes that are named by seeds."""
-    env = bsk_torch.make(options.preset, num_envs=episodes, env_ids=[0] * episodes, **more)
+    env = bsk_torch.make(options.preset, num_envs=episodes, env_ids=[0] * episodes, time_limit=options.time_limit, **more)
     assert isinstance(env, Tasking)
     return env
 
@@ -117,8 +118,9 @@ def figures(entrant: str, one: dict[str, Any]) -> dict[str, Any]:
 def main() -> None:
     """Measure the entrants and print a table."""
     parsed = harness.parser(
-        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], first=FIRST
-    )
+        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], first=FIRST,
+        time_limit=ORBIT / 2,
+    )  # fmt: skip
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     parsed.add_argument("--base", type=Path, metavar="FOLDER", help="training whose policy planners improve instead of the rule")
     parsed.add_argument(

@@ -8,7 +8,8 @@
 #   scripts/test.sh [--full] [--shard 1/2] [pytest arguments]    only a part of the tests, which machines can share, or some tests:
 #                                                                scripts/test.sh tests/sim -k orbit
 #   scripts/test.sh --basilisk | --rllib | --browser             this part of the night alone
-# The level of a test follows from tests/durations.json. Nothing is installed again until pyproject.toml or constraints.txt change.
+# The level of a test follows from tests/durations.json, and from the mark nightly. Nothing is installed again until pyproject.toml
+# or constraints.txt change.
 # Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE names a folder with them (scripts/recorders/recording.py).
 set -euo pipefail
 case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" | sed '$d'; exit ;; esac

@@ -17,9 +17,16 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_a_level_follows_from_the_duration():
-    durations = {"slow": 2 * SLOW, "long": 2 * LONG, "fast": SLOW, "unmeasured": None}
+    durations = {"slow": 2 * SLOW, "long": 2 * LONG, "fast": SLOW}
     assert [level(name, durations) for name in ("new", "fast", "slow")] == ["default", "default", "full"]
-    assert [level(name, durations) for name in ("long", "unmeasured")] == ["nightly", "nightly"]
+    assert level("long", durations) == "nightly"
+
+
+def test_a_mark_names_what_runs_at_night():
+    whole, some = pytest.mark.nightly.mark, pytest.mark.nightly("eager", "AEOS-v1").mark
+    assert level("fast", {}, [whole]) == level("t[AEOS-v1]", {}, [some]) == level("t[2-eager]", {}, [some]) == "nightly"
+    for name in ("t", "t[compiled]", "t[eagerly]", "t[AEOS-v1x]"):
+        assert level(name, {}, [some, pytest.mark.compiled.mark]) == "default"
 
 
 def exists(name):
@@ -41,7 +48,7 @@ def test_durations_are_of_tests_that_exist():
     assert durations
     for name, seconds in durations.items():
         assert exists(name), f"{name} is no test"
-        assert seconds is None or seconds > SLOW
+        assert seconds > SLOW
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -96,14 +103,6 @@ def test_kernels_of_earlier_runs_make_no_test_fast(results, tmp_path):
     results.pytest_terminal_summary(SimpleNamespace(write_line=print))
     noted = json.loads((tmp_path / "durations.json").read_text())
     assert noted == {"t.py::gone": 2 * SLOW, "t.py::long": 2 * LONG, "other.py::slow": 1.0}
-
-
-def test_tests_without_a_time_stay_in_the_night(results, tmp_path):
-    (tmp_path / "durations.json").write_text(json.dumps({"t.py::alike": None, "t.py::gone": None}))
-    results.config.getoption = {"measure": True, "levels": "nightly"}.get
-    results.pytest_runtest_logreport(report("t.py::alike", 3 * SLOW))
-    results.pytest_terminal_summary(SimpleNamespace(write_line=print))
-    assert json.loads((tmp_path / "durations.json").read_text()) == {"t.py::alike": None}
 
 
 def test_every_level_is_one_of_the_script():

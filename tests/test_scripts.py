@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from bsk_torch.tasks.aeossp import thinned, write_solution
 from tests.support.programs import run_script
 from tests.support.rounding import ABSOLUTE, RELATIVE, to_rounding
 from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
+from tests.tasks.aeossp.flown_case import small, write_case
 
 ROOT = Path(__file__).parents[1]
 
@@ -66,8 +68,8 @@ benchmarks/inspection.py --batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 
   compiled: \| manoeuvres \| 2 \| [\d,.]+ \| - \|
 benchmarks/inspection_rules.py --episodes 2 --time-limit 700
   compiled: \| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|
-benchmarks/manoeuvres.py --batches 2 --targets 20 --rounds 1 --drift 2
-  compiled: (?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|
+benchmarks/manoeuvres.py --batches 2 --targets 20 --rounds 1 --drift 2 --orbits arc
+  compiled: (?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| arc \| off \| [\d.]+ \|
 benchmarks/risk.py --questions charge --runs 1 --episodes 20 --repetitions 4 --plain 0 --num-envs 20 --time-limit 300
   compiled: (?s)textbook case: [\d.e-]+ for 1e-06, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|
 benchmarks/risk.py --questions charge --method screen --pool 100 --probabilities 0.01 --runs 1 --episodes 20 --repetitions
@@ -87,11 +89,11 @@ benchmarks/aeos_bench.py --cases 2 --batch 2 --time-limit 60 --satellites 2 3 --
   compiled: (?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \|[ ]
 benchmarks/aeossp.py --folder {root}/tests/tasks/aeossp --cases data --models flyable --margins 5
   compiled: \| data \| flyable \| 5 \| 0\.\d+ \| 0\.\d+ \|
-benchmarks/aeossp_flown.py --folder {root}/tests/tasks/aeossp --cases data --plans solution.json --slacks 5
-  compiled: \\| data \\| solution \\| 5
-benchmarks/aeossp_policy.py --folder {root}/tests/tasks/aeossp --case data --learn data --frames 32 --num-envs 2
-  compiled: (?s)\| data \| farsighted \| 0\.\d+ \|.*\| data \| policy \| 0\.\d+ \|
-benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --out sites.json
+benchmarks/aeossp_flown.py --folder {flights} --cases small --plans solution.json --slacks 5
+  compiled: \| small \| solution \| 5 \|
+benchmarks/aeossp_policy.py --folder {flights} --case small --learn small --frames 32 --num-envs 2
+  compiled: (?s)\| small \| farsighted \| [01]\.\d+ \|.*\| small \| policy \| [01]\.\d+ \|
+benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --time-limit 300 --out sites.json
   compiled: commit
 benchmarks/requests.py --batches 2 --requests 20 --hours 0.5 --steps 2
   compiled: \| 2 \| 20 \| 20 \| [\d.]+ \| [\d,]+ \|
@@ -131,10 +133,11 @@ benchmarks/milp.py --targets 300 --episodes 2 --seconds 2 --iterations 3 --time-
   compiled: \| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [-+\d.]+ \+- [\d.]+ \| [\d.]+% \|
 benchmarks/relaxation.py --targets 300 --episodes 1 --time-limit 900 --iterations 3
   compiled: (?s)\| 300 \| least \| [\d.]+ \| [\d.]+ \| .*\| 300 \| typical \| [\d.]+ \|[ ]
-benchmarks/sustained.py --scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1
+benchmarks/sustained.py --scale 0.01 --planned 1 --planned-time 120 --time-limit 900 --window 120 --rounds 1
+    --enough 1
   compiled: (?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| .*\"reserve\": \d+\.\d
 benchmarks/sustained.py --fitted {root}/bsk_torch/lab/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1
-    --time-limit 600
+    --planned-time 120 --time-limit 600
   compiled: (?s)\| rollout over trained \| \d+ \| [\d.]+ \| .*\| beam search over trained \| \d+ \| [\d.]+ \| .*\"found\":[ ]
 benchmarks/resources.py --episodes 2 --time-limit 900
   compiled: (?s)\| targets in view \| .*\| images that the store holds \| 100 \|
@@ -323,11 +326,12 @@ def run(folder: Path, path: str, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize(("path", "start"), RUNS)
+@pytest.mark.nightly("risk.py-1", "return_vs_computation.py-1", "sustained.py-1")
 def test_runs(path, start, tmp_path):
     if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
         pytest.skip("needs .venv, which scripts/test.sh makes")
     values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl", "tmp": str(tmp_path)}
-    values |= {"orbits": "orbits.zip", "cases": "cases"}
+    values |= {"orbits": "orbits.zip", "cases": "cases", "flights": "flights"}
     if "{countries}" in start.arguments:
         write_countries(tmp_path / values["countries"])
     if "{orbits}" in start.arguments:
@@ -335,6 +339,10 @@ def test_runs(path, start, tmp_path):
     if "{cases}" in start.arguments:
         for name in ("00001", "00002"):
             write(tmp_path / "cases" / name, constellation(2), tasks(40))
+    if "{flights}" in start.arguments:
+        case, plan = small()
+        write_case(tmp_path / "flights" / "small", case)
+        write_solution(tmp_path / "flights" / "small" / "solution.json", case, thinned(case, plan, 0.0))
     printed = run(tmp_path, path, *start.arguments.format(**values).split())
     assert re.search(start.printed, printed), printed
 

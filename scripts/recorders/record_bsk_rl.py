@@ -216,7 +216,7 @@ def main() -> None:
         "point": str(point),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "recorded.json").write_text(json.dumps(table, indent=1) + "\n")
+    (folder / "recorded.json").write_text(json.dumps(table) + "\n")
     print(folder / "recorded.json")
 
 

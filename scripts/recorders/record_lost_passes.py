@@ -71,7 +71,7 @@ def main() -> None:
             env.unwrapped.satellite.calculate_additional_windows(SEGMENT)
         found[name] = dict(rN=r.tolist(), vN=v.tolist(), windows=first, more=windows(env.unwrapped.satellite))
     fixed = dict(utc_init=UTC, time_limit=LIMIT, generation_duration=SEGMENT, intervals=MORE)
-    (folder / "lost_passes.json").write_text(json.dumps(fixed | dict(orbits=found), indent=1) + "\n")
+    (folder / "lost_passes.json").write_text(json.dumps(fixed | dict(orbits=found)) + "\n")
 
 
 if __name__ == "__main__":

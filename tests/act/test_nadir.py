@@ -48,6 +48,7 @@ def angle(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+@pytest.mark.nightly("eager")
 def test_errors_are_angles_of_vectors(backend):
     """Also the one that Basilisk's locationPointing takes for the target, ``4 atan |sigma_BR|``, a tick earlier."""
     short = {"max_step_duration": 60.0} if backend == "eager" else {}

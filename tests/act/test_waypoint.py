@@ -65,6 +65,7 @@ def decided(env, action):
 
 class TestFlight:
     @pytest.mark.parametrize(("duration", "choices"), [(600.0, ([0, 1, 2, 3], [4, 5, 0, 1])), (2000.0, ([0, 1, 2, 4],))])
+    @pytest.mark.nightly("2000.0")
     def test_legal_transfers_arrive(self, duration, choices):
         """What is not predicted, the Earth's flattening first, moves them by up to a part in a hundred of the way."""
         env, entry, td = make(HillWaypoint("C", SIX, [duration]))

@@ -21,6 +21,7 @@ STORAGE = 17
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.nightly("meta_idle")
 def test_constellation(name):
     recording = load(name)
     check(replay(recording, environment(recording)), POSITION["arc"], CONSTELLATION)
@@ -37,6 +38,7 @@ def test_second_episode(name):
 
 
 @pytest.mark.parametrize("name", ["types", "scan"])
+@pytest.mark.nightly("scan", "types")
 def test_eager_first_steps(name):
     """The debugger's back end."""
     recording = load(name)

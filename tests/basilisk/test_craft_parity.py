@@ -12,6 +12,7 @@ ARC = 1e-3
 
 @pytest.mark.parametrize("name", FLIGHTS)
 @pytest.mark.parametrize("backend", ["eager", "compiled"])
+@pytest.mark.nightly("eager", "skewed", "six")
 def test_flights(name, backend):
     file, flown = fly(name, backend=backend)
     found, allowed = differences(file, flown), bounds(file)

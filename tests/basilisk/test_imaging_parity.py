@@ -82,6 +82,7 @@ def test_look_ahead_of_days():
 
 
 @pytest.mark.compiled
+@pytest.mark.nightly
 def test_integrated():
     """The orbit integrated in every tick."""
     recording = load("imaging_stale")

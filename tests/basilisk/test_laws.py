@@ -80,4 +80,4 @@ def test_every_law_is_replayed_before_a_change_lands(law):
     for test, *case in LAWS[law]:
         assert tuple(case) in cases_of(test)
         name = f"{test.__module__.replace('.', '/')}.py::{test.__name__}" + (f"[{'-'.join(case)}]" if case else "")
-        assert level(name, durations) != "nightly", f"{name} runs at night only"
+        assert level(name, durations, getattr(test, "pytestmark", [])) != "nightly", f"{name} runs at night only"

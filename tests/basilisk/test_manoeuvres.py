@@ -158,6 +158,7 @@ REPLAYS = [(name, orbit) for orbit in BOUNDS for name in SATELLITE]
 
 
 @pytest.mark.parametrize(("name", "orbit"), REPLAYS)
+@pytest.mark.nightly("manoeuvre_scan", "manoeuvre_kick-integrated")
 def test_manoeuvres_against_basilisk(name, orbit):
     found = replay(name, orbit=orbit, compat="bsk_rl")
     assert all(difference <= BOUNDS[orbit][quantity] for quantity, difference in found.items()), found

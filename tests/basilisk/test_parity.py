@@ -71,6 +71,7 @@ def test_other_ticks(name):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", ["low", "nominal"])
+@pytest.mark.nightly("nominal")
 def test_integrated(name):
     """The orbit integrated in every tick: with drag, and for five orbits."""
     recording = load(name)
@@ -78,6 +79,7 @@ def test_integrated(name):
 
 
 @pytest.mark.parametrize(("name", "steps"), [("nominal", 1), ("all_modes", 4)])
+@pytest.mark.nightly("all_modes-4", "nominal-1")
 def test_eager_first_steps(name, steps):
     """The debugger's back end on the first steps of two recordings; :func:`test_ticks` has single ticks of it."""
     recording = load(name)
@@ -85,6 +87,7 @@ def test_eager_first_steps(name, steps):
 
 
 @pytest.mark.parametrize("orbit", ["arc", "integrated"])
+@pytest.mark.nightly("integrated")
 def test_ticks(orbit):
     """Tick by tick: 200 ticks with station passes, desaturation and a change of mode."""
     from tests.basilisk.ticks import compare_ticks

@@ -79,6 +79,7 @@ def replay(name, **options):
 
 @pytest.mark.parametrize("name", BOUNDS)
 @pytest.mark.parametrize("backend", ["eager", "compiled"])
+@pytest.mark.nightly("eager-setpoint_imposed", "eager-setpoint_wheels")
 def test_set_points(name, backend):
     found = replay(name, backend=backend)
     assert all(found[quantity] <= bound for quantity, bound in BOUNDS[name].items()), found

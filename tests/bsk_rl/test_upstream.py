@@ -10,6 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("what", ["tests", "examples"])
+@pytest.mark.nightly
 def test_what_bsk_rl_ships_runs_with_replaced_imports(what):
     script = ROOT / "scripts" / "validation" / "upstream.py"
     ran = subprocess.run([sys.executable, str(script), what], capture_output=True, text=True, check=False)

@@ -131,6 +131,7 @@ def test_satellites_of_several_types_are_evaluated_and_shielded(run, crew, tmp_p
     assert list(json.loads((tmp_path / "e.json").read_text())) == ["trained + no_charging:rule", "trained", *RULES]
 
 
+@pytest.mark.nightly
 def test_the_report_shows_satellites_of_several_types(run, crew):
     result = run("report", crew, "--episodes", 2)
     assert result.exit_code == 0, result.output
@@ -145,6 +146,7 @@ def test_failures_of_several_satellites_are_not_explained(run, crew):
     assert "RelayConstellation-v1 has many satellites; failures are explained of one" in result.output
 
 
+@pytest.mark.nightly
 def test_a_run_with_several_types_goes_on(run, crew):
     again = run("train", crew, "--resume", "frames=32", "--episodes", 2)
     assert again.exit_code == 0, again.output

@@ -27,7 +27,7 @@ from tests.support.outside_policies import (
 pytestmark = pytest.mark.compiled
 
 SHORT = ("--time-limit", "180")
-FEW = ("--episodes", "20", "--repetitions", "4", "--num-envs", "20", "--time-limit", "60")
+FEW = ("--episodes", "20", "--repetitions", "4", "--num-envs", "20", "--time-limit", "60", "--smallest", "0.5")
 
 COMMANDS = {
     "eval": lambda policy, out: ("eval", policy, "--seeds", "0:2", "--no-baselines", "--trust", *SHORT),

@@ -57,7 +57,7 @@ def test_the_script_writes_what_has_changed_and_removes_what_no_preset_uses(sour
     (tmp_path / "Old-v1.cpp").write_text("no preset has it")
     update_golden.main()
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in FOLDER.iterdir()}
-    assert "written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp" in capsys.readouterr().out
+    assert "written or changed: AEOS-v1.cpp, presets.json" in capsys.readouterr().out
     (tmp_path / "AEOS-v1.cpp").write_text("")
     update_golden.main()
     assert "written or changed: AEOS-v1.cpp\n" in capsys.readouterr().out

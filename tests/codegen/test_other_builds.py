@@ -38,6 +38,7 @@ def played(*arguments: str, **environment: str) -> subprocess.CompletedProcess[s
     return subprocess.run(command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True)
 
 
+@pytest.mark.nightly
 def test_the_driver_compares_what_agents_see(tmp_path):
     run = played("NadirScan-v1", f"--eager={tmp_path}")
     assert run.returncode == 0, run.stderr
@@ -57,6 +58,7 @@ def eager(tmp_path_factory):
 
 
 @pytest.mark.parametrize("build", BUILDS)
+@pytest.mark.nightly
 def test_every_build_gives_the_numbers_of_the_eager_back_end(build, eager, tmp_path):
     compiler, isa = BUILDS[build]
     if shutil.which(compiler) is None:
@@ -69,6 +71,7 @@ def test_every_build_gives_the_numbers_of_the_eager_back_end(build, eager, tmp_p
 
 
 @pytest.mark.parametrize("isa", ["avx512", "default"])
+@pytest.mark.nightly
 def test_sanitizers_find_nothing(isa, eager, tmp_path):
     """Kernels of all presets, with checks of addresses and of undefined behaviour."""
     if not has(isa):
@@ -85,6 +88,7 @@ def test_sanitizers_find_nothing(isa, eager, tmp_path):
 
 
 @pytest.mark.parametrize("preset", ["NadirScan-v1", "AEOSPower-v1", "RelayConstellation-v1"])
+@pytest.mark.nightly
 def test_kernels_for_aarch64_give_the_numbers_of_the_eager_back_end(preset, eager, tmp_path):
     """In an emulator; these presets together have all components."""
     for program in (f"{TRIPLE}-g++", EMULATOR):

@@ -62,6 +62,7 @@ def ready(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", ["truncated", "missing", "empty"])
+@pytest.mark.nightly("empty")
 def test_builds_go_on_where_it_is_damaged(ready, damage):
     headers = ready / "standard.h.gch"
     if damage == "truncated":

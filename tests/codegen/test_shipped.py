@@ -139,6 +139,7 @@ def test_rejects_wrong_words_of_the_command(arguments, words, tmp_path):
 
 
 @pytest.mark.parametrize("presets", [["NadirScan-v1"], ["NadirScan-v1", "AEOSConstellation-v1"]], ids=["one", "two"])
+@pytest.mark.nightly("two")
 def test_the_command_plays_all_presets(tmp_path, monkeypatch, presets):
     """Without compiling; the whole command is a nightly test."""
     made, short = kernels.made, {"backend": "eager", "max_step_duration": 3.0}
@@ -149,6 +150,7 @@ def test_the_command_plays_all_presets(tmp_path, monkeypatch, presets):
     assert all(f"{preset}: built for" in result.output for preset in presets)
 
 
+@pytest.mark.nightly
 def test_a_preset_plays_with_shipped_kernels_alone(tmp_path):
     """The command in its own process, without optimisation, which makes it short; then a machine without compiler."""
     out = tmp_path / "kernels"

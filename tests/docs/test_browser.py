@@ -66,6 +66,7 @@ def test_every_page_loads_whole_and_fits_a_narrow_screen(site, browser, address)
     assert not troubles_of([*others, *generated[::8]], site, browser, address)
 
 
+@pytest.mark.nightly
 def test_every_page_of_the_reference_loads_whole_and_fits_a_narrow_screen(site, browser, address):
     assert not troubles_of(sorted(site.glob(GENERATED)), site, browser, address)
 

@@ -133,6 +133,7 @@ def test_some_episodes():
 
 
 @pytest.mark.parametrize("preset", SMALL)
+@pytest.mark.nightly
 def test_all_episodes(preset):
     wrong = [words for words in map(play, cases(preset)) if words]
     assert not wrong, "\n".join(wrong)

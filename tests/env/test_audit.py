@@ -99,6 +99,7 @@ def started(request):
     return env, env.reset()
 
 
+@pytest.mark.nightly("64")
 def test_a_step_waits_for_the_device_a_few_times(started):
     """After the first step, which checks tables of actions."""
     env, td = started
@@ -109,6 +110,7 @@ def test_a_step_waits_for_the_device_a_few_times(started):
         assert sum(audit.waits.values()) == WAITS, audit.waits
 
 
+@pytest.mark.nightly("64")
 def test_ticks_never_wait_and_never_change_shape(started):
     simulator = started[0].simulator
     seen, inside = [], []

@@ -69,6 +69,7 @@ def assert_close(eager: Simulator, fast: Simulator) -> None:
 
 
 @pytest.mark.parametrize("orbit", ["arc", "integrated"])
+@pytest.mark.nightly("integrated")
 def test_equals_eager(orbit):
     eager, fast = (make(backend, 5, orbit=orbit) for backend in ("eager", "compiled"))
     starts = eager.reset(), fast.reset()
@@ -165,6 +166,7 @@ def simulate(backend) -> Simulator:
     return simulator
 
 
+@pytest.mark.nightly
 def test_components_without_a_kernel_are_compiled_by_inductor(caplog):
     eager = simulate("eager")
     with caplog.at_level(logging.WARNING, logger="bsk_torch"):

@@ -148,6 +148,7 @@ def test_several_imagers_of_one_type_beside_another_type(order: tuple[int, ...])
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.nightly("eager")
 def test_a_constellation_of_one_is_satellite_tasking(backend: str) -> None:
     options = dict(num_envs=4, time_limit=LIMIT, seed=5, backend=backend)
     options |= dict(max_step_duration=30.0) if backend == "eager" else {}  # its ticks take milliseconds each
@@ -216,6 +217,7 @@ def test_batch_and_order_do_not_matter(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["one", "two"])
+@pytest.mark.nightly("one")
 def test_back_ends_agree(kind: str) -> None:
     """Ends of steps, tasks and rewards are the same; observations within the difference of the two orbit solvers."""
     eager, compiled = (play(GROUPS_OF[kind](backend), 10) for backend in ("eager", "compiled"))

@@ -29,11 +29,13 @@ def assert_ended_well(result: dict) -> None:
 
 
 @pytest.mark.parametrize("name", ["NadirScan-v1", "Constellation-v1"])
+@pytest.mark.nightly("Constellation-v1")
 def test_spoilt_states(name):
     assert_ended_well(attack(1, name)[name])
 
 
 @pytest.mark.parametrize("name", crafted.PRESETS)
+@pytest.mark.nightly
 def test_all_spoilt_states(name):
     assert_ended_well(attack(8, name)[name])
 

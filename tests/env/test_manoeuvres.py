@@ -23,6 +23,7 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("orbit", ORBITS)
+@pytest.mark.nightly("integrated")
 def test_partial_steps_leave_other_rows_alone(orbit):
     """Also one that has been pushed and has not flown on yet; it goes on later as if nothing had been in between."""
     env, all_at_once = make(3, orbit=orbit), make(3, orbit=orbit)
@@ -41,6 +42,7 @@ def test_partial_steps_leave_other_rows_alone(orbit):
 
 
 @pytest.mark.parametrize("orbit", ORBITS)
+@pytest.mark.nightly("integrated")
 def test_a_reset_begins_with_a_full_tank_on_the_first_orbit(orbit):
     epoch = {"utc_init": "2021 MAR 05 07:12:33.250 (UTC)"}
     env, fresh = (make(2, orbit=orbit, world_args=epoch) for _ in range(2))
@@ -59,6 +61,7 @@ def test_a_reset_begins_with_a_full_tank_on_the_first_orbit(orbit):
 
 
 @pytest.mark.parametrize("options", [{}, {"replan": False}, {"orbit": "integrated"}])
+@pytest.mark.nightly("options2")
 def test_copies_and_pickles_go_on_alike(options):
     env = make(2, **options)
     td = step(env, env.reset(), 1)

@@ -128,6 +128,7 @@ def of_satellites(env: ConstellationTasking, td: TensorDict, row: int) -> dict[s
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("satellites", [imagers, mixed])
+@pytest.mark.nightly("eager")
 def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellites, backend) -> None:
     steps, rows = (
         (8, (0, 1, 2, 3)) if backend == "compiled" else (2, (0, 3))
@@ -147,6 +148,7 @@ def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellit
 
 
 @pytest.mark.parametrize("satellites", [imagers, mixed])
+@pytest.mark.nightly("imagers")
 def test_both_back_ends_agree_on_who_is_present(satellites) -> None:
     eager, compiled = (history(build(satellites(5), backend=backend), 6) for backend in BACKENDS)
     assert eager
@@ -196,6 +198,7 @@ def test_absent_satellites_make_no_difference() -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.nightly("eager")
 def test_absent_satellites_run_no_ticks_and_are_shown_as_nothing(backend) -> None:
     env = build(mixed(5), backend=backend)
     td = env.reset()
@@ -527,6 +530,7 @@ class Watcher(Collider):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.nightly("eager")
 def test_nothing_meets_an_absent_satellite_or_sees_it(backend) -> None:
     """The third satellite would be at the first one's place; the first two meet after four minutes, in the third step."""
 

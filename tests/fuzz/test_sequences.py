@@ -48,6 +48,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
 ERRORS = ValueError, TypeError, KeyError, IndexError, RuntimeError
 """Kinds of errors that say what is wrong."""
 
+ALIKE = ("FaultyScan-v1", "NadirScience-v1", "AEOSCity-v1", "CloudyAEOS-v1", "AEOSConstellation-v1")
+"""Presets that are another one with other draws, tested at night."""
+
 MASKS = st.lists(st.booleans(), min_size=NUM_ENVS, max_size=NUM_ENVS)
 
 
@@ -298,10 +301,12 @@ def run(preset: str, examples: int, calls: int) -> None:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.nightly(*ALIKE)
 def test_random_sequences_keep_the_laws(preset):
     run(preset, 3, 20)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", PRESETS)
 def test_many_random_sequences_keep_the_laws(preset):
     run(preset, 100, 40)

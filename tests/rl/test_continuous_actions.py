@@ -154,6 +154,7 @@ class TestMAPPO:
         return MAPPOConfig("Crew-v0", **(common | extra | changes))
 
     @pytest.mark.parametrize("algorithm", ["mappo", "ippo"])
+    @pytest.mark.nightly("ippo")
     def test_types_of_real_and_numbered_actions_learn_side_by_side(self, algorithm, tmp_path):
         training = MAPPOTraining(self.settings(algorithm=algorithm), tmp_path / "run")
         policy = training.run()

@@ -76,6 +76,7 @@ def whole(processes, tmp_path_factory):
 
 
 @pytest.mark.parametrize("seed", range(20))
+@pytest.mark.nightly(*map(str, range(1, 20)))
 def test_a_killed_training_goes_on_as_if_nothing_had_happened(processes, whole, tmp_path, seed):
     """Killed at a random moment, resumed, killed again, and resumed."""
     out, draw = tmp_path / "run", random.Random(seed)
@@ -151,6 +152,7 @@ def test_a_read_only_folder_stops_a_training_that_can_be_resumed(whole, tmp_path
     assert same(tmp_path / "run", whole[0])
 
 
+@pytest.mark.nightly
 def test_a_compiler_that_disappears_stops_a_training_that_can_be_resumed(whole, tmp_path, monkeypatch):
     out = tmp_path / "run"
     train(dataclasses.replace(SMALL, frames=24), out, episodes=0)

@@ -24,6 +24,7 @@ FLAGS = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else
 
 @pytest.mark.compiled
 @pytest.mark.skipif(" avx2 " not in FLAGS or " fma " not in FLAGS, reason="this processor has no AVX2")
+@pytest.mark.nightly("2")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_bits_are_the_recorded_ones(threads):
     """With two threads, beside a program that leaves them no core for themselves."""

@@ -15,6 +15,7 @@ SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
 
 
+@pytest.mark.nightly(*(set(makings()) - {"NadirScan-v1", "NadirScience-v1", "AEOS-v1", "RSOInspection-v1", "MultiInspection-v1"}))
 @pytest.mark.compiled
 @pytest.mark.parametrize("preset", makings())
 def test_a_pretrained_policy_has_its_score(preset):

@@ -25,6 +25,9 @@ needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs pip insta
 
 COLLECTORS = ("single", "multi", pytest.param("ray", marks=needs_ray))
 
+OTHERS = set(PRESETS) - {"NadirScan-v1", "Constellation-v1"}
+"""Presets that are tested at night."""
+
 
 def make(name: str, **options):
     return bsk_torch.make(name, num_envs=2, time_limit=2400.0, **(OPTIONS.get(name, {}) | options))
@@ -47,6 +50,7 @@ FORMS = {
 }
 
 
+@pytest.mark.nightly(*OTHERS)
 @pytest.mark.parametrize("name", PRESETS)
 def test_states_come_back_from_files(name, tmp_path):
     """``torch.save(state.to_dict())``, read without trust, in all forms that a tensordict has: bit for bit."""
@@ -77,6 +81,7 @@ def config_of(name, collector, frames):
     return configure(name, network="mlp" if name == "NadirScan-v1" else None, frames=frames, options=options, **few, **many)
 
 
+@pytest.mark.nightly(*OTHERS, "multi", "ray")
 @pytest.mark.parametrize("collector", COLLECTORS)
 @pytest.mark.parametrize("name", PRESETS)
 def test_resumed_trainings_are_the_uninterrupted_ones(name, collector, tmp_path):

@@ -129,6 +129,7 @@ def test_recipes_can_be_changed():
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("network", ["mlp", "attention"])
+@pytest.mark.nightly("attention")
 def test_a_short_training_beats_random_choice_of_targets(tmp_path, network):
     world = {"n_targets": 3000, "time_limit": 1500.0}
     config = configure(

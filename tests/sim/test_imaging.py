@@ -257,6 +257,7 @@ def test_a_command_left_over_records_in_every_tick(backend):
     assert simulator.read("partitions")[0, 0] == 6 * 8e6
 
 
+@pytest.mark.nightly("eager")
 def test_the_image_ends_the_run(backend):
     """With the tick that stores the image, one after the one that orders it."""
     simulator = imager(backend)

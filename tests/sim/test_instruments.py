@@ -91,6 +91,7 @@ def test_one_instrument_is_that_of_bsk_rl():
     ("backend", "ticks", "numbers"),
     [("eager", 12, (1, 0)), pytest.param("compiled", 150, (0, 1, 1, 0, 1, 0), marks=pytest.mark.compiled)],
 )
+@pytest.mark.nightly("eager")
 def test_each_step_is_that_of_a_satellite_with_the_chosen_instrument(backend, ticks, numbers):
     both = environment(backend=backend)
     alone = [environment({**own, **PACKET}, backend=backend) for own in (WIDE, NARROW)]

@@ -1,5 +1,6 @@
-"""Levels of the tests by measured CPU time: what ``scripts/test.sh`` runs by default, with ``--full`` and with ``--nightly``.
+"""Levels of the tests: what ``scripts/test.sh`` runs by default, with ``--full`` and with ``--nightly``.
 
+They follow from CPU times, and from the mark ``nightly`` of tests, or parameters, that are alike to others. The file
 ``tests/durations.json`` lists the tests that take longer than ``SLOW``; ``pytest --measure`` writes it, in the nightly run. A new
 test belongs to the default until it has been measured. A test costs what it computes itself, with its processes, and its part
 of the shared fixtures that it requests, whichever test came first. A kernel that :mod:`tests.support.kernels` lists costs
@@ -9,7 +10,7 @@ nothing, because it is built before the tests; any other kernel costs its compil
 import json
 import resource
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from ctypes import CDLL
 from pathlib import Path
 from typing import NamedTuple
@@ -68,18 +69,19 @@ def levels_of(config: pytest.Config) -> tuple[str, ...]:
     return wanted
 
 
-def level(name: str, durations: dict[str, float | None]) -> str:
-    """Level of a test by its id."""
-    seconds = durations.get(name, 0.0)
+def level(name: str, durations: dict[str, float], marks: Iterable[pytest.Mark] = ()) -> str:
+    """Level of a test by its id, and by its marks: ``nightly`` is for the whole test, or for the parameters that it names."""
+    seconds, parameters = durations.get(name, 0.0), f"-{name.partition('[')[2].removesuffix(']')}-"
+    nightly = (mark.args for mark in marks if mark.name == "nightly")
     if name in PROMISES.values():
         return "default"
-    if seconds is None or seconds > LONG:
+    if seconds > LONG or any(not named or any(f"-{each}-" in parameters for each in named) for named in nightly):
         return "nightly"
     return "default" if seconds <= SLOW else "full"
 
 
-def read_durations() -> dict[str, float | None]:
-    """CPU seconds of the slow tests, by id; None of one of many alike, of which others run with --full: it stays in the night."""
+def read_durations() -> dict[str, float]:
+    """CPU seconds of the slow tests, by id."""
     return json.loads(DURATIONS.read_text())
 
 
@@ -91,12 +93,12 @@ def _file(test: str) -> str:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of the levels and the shard, the file that takes longest first."""
     durations, wanted = read_durations(), levels_of(config)
-    kept = [item for item in items if level(item.nodeid, durations) in wanted]
+    kept = [item for item in items if level(item.nodeid, durations, item.iter_markers()) in wanted]
     groups: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in kept:
         item.stash[NAME] = item.nodeid
         groups[_group(item)].append(item)
-    seconds = {name: sum(durations.get(item.nodeid, USUAL) or LONG for item in members) for name, members in groups.items()}
+    seconds = {name: sum(durations.get(item.nodeid, USUAL) for item in members) for name, members in groups.items()}
     mine = in_shard(seconds, *parse_shard(config.getoption("shard")))
     ordered = [item for name in sorted(mine, key=lambda name: (-seconds[name], name)) for item in groups[name]]
     config.hook.pytest_deselected(items=list(set(items) - set(ordered)))
@@ -264,10 +266,9 @@ class Results:
             terminalreporter.write_line(f"became slow: {value:.1f} CPU s, not in {DURATIONS.name}: {test}")
         if self.config.getoption("measure"):
             files, wanted = {_file(test) for test in seconds}, levels_of(self.config)
-            earlier = {test: durations.get(test) or 0.0 for test in self.reusing()}
-            for test, value in durations.copy().items():
-                again = _file(test) in files and level(test, durations) in wanted  # measured again, or deleted
-                if again and (value is not None or test not in seconds):
+            earlier = {test: durations.get(test, 0.0) for test in self.reusing()}
+            for test in [*durations]:
+                if _file(test) in files and level(test, durations) in wanted:  # measured again, or deleted
                     del durations[test]
             measured = {test: round(max(value, earlier.get(test, 0.0)), 2) for test, value in seconds.items()}
             durations |= {test: value for test, value in measured.items() if value > SLOW and test not in durations}

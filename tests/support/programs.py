@@ -32,7 +32,9 @@ def server_seconds() -> float:
 def run_script(script: Path, *arguments: str, folder: Path, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a script of Python in a folder, with additions to the environment; returns its exit status and what it wrote."""
     files = folder / "stdout.txt", folder / "stderr.txt"
-    process = SERVER.Process(target=_play, args=(script, arguments, folder, dict(environment), *files))
+    forkserver.ensure_running()
+    address = forkserver._forkserver._forkserver_address
+    process = SERVER.Process(target=_play, args=(address, script, arguments, folder, dict(environment), *files))
     process.start()
     process.join()
     written = [file.read_text() if file.exists() else "" for file in files]
@@ -53,7 +55,9 @@ def forked_processes() -> Iterator[None]:
         multiprocessing.set_start_method(method, force=True)
 
 
-def _play(script: Path, arguments: tuple[str, ...], folder: Path, environment: dict[str, str], *files: Path) -> None:
+def _play(
+    address: str, script: Path, arguments: tuple[str, ...], folder: Path, environment: dict[str, str], *files: Path
+) -> None:
     for number, file in enumerate(files, start=1):
         sys.stdout.flush() if number == 1 else sys.stderr.flush()
         os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
@@ -61,5 +65,7 @@ def _play(script: Path, arguments: tuple[str, ...], folder: Path, environment: d
     os.environ.update(environment)
     sys.path[:0] = [str(script.parent), *environment.get("PYTHONPATH", "").split(os.pathsep)]
     sys.argv = [str(script), *arguments]
-    multiprocessing.set_start_method("forkserver", force=True)  # for the script's own processes
+    multiprocessing.set_start_method("forkserver", force=True)
+    server = forkserver._forkserver  # the script's own processes are forks of the same server, not of another one
+    server._forkserver_address, server.ensure_running = address, lambda: None
     runpy.run_path(str(script), run_name="__main__")

@@ -59,6 +59,7 @@ def test_three_is_vendored_with_what_is_needed_its_version_and_its_license():
     assert "The MIT License" in vendored.joinpath("LICENSE.three.txt").read_text()
 
 
+@pytest.mark.nightly
 def test_three_can_be_made_again(tmp_path):
     if shutil.which("npm") is None:
         pytest.skip("npm is missing")

@@ -78,6 +78,7 @@ class TestGymnasium:
 
     @pytest.mark.parametrize("entry", [SETPOINT, Choose("choose")], ids=["box", "hybrid"])
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+    @pytest.mark.nightly("SameStep-hybrid")
     def test_a_vector_is_its_single_episodes(self, entry, mode):
         one = [GymEnv(core(entry, env_ids=[k], time_limit=LIMIT[type(entry)])) for k in range(2)]
         env = GymVectorEnv(core(entry, 2, time_limit=LIMIT[type(entry)]), autoreset_mode=mode)

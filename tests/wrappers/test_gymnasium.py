@@ -131,6 +131,7 @@ def test_rejects_wrong_actions_which_change_nothing():
 
 
 @pytest.mark.parametrize(("mode", "obs_type"), [(NEXT, torch.Tensor), (SAME, torch.Tensor), (SAME, dict)])
+@pytest.mark.nightly("AutoresetMode.SAME_STEP-Tensor")
 def test_a_batch_plays_what_single_environments_play(mode, obs_type):
     count, seed = 3, 1
     batch = GymVectorEnv(quick, count, autoreset_mode=mode, obs_type=obs_type)

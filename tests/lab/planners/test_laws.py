@@ -58,6 +58,7 @@ def test_looking_to_the_end_is_never_worse_than_the_base(name, base, env):
         assert bool((planned.returns > plain.returns).all())  # who charges for ever scans nothing
 
 
+@pytest.mark.nightly
 def test_decisions_do_not_depend_on_batch_or_back_end(env):
     alone = scanning(1)
     few, many = (evaluate(Rollout(e, "random", horizon=300.0), e, seeds=[4, 6]) for e in (alone, env))

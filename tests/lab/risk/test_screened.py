@@ -44,6 +44,7 @@ def estimate(probability, noise, size=100, pool=20_000, learned=200, count=8, se
 
 
 @pytest.mark.parametrize(("probability", "pool"), [(1e-2, 5000), (1e-4, 60_000)])
+@pytest.mark.nightly("0.0001-60000")
 def test_a_sum_of_drawn_numbers_exceeds_a_limit_as_often_as_it_must(probability, pool):
     screen, found, sampling = estimate(probability, 0.1, pool=pool)
     mean, low, high = interval(found.estimates)
@@ -58,6 +59,7 @@ def test_a_sum_of_drawn_numbers_exceeds_a_limit_as_often_as_it_must(probability,
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
+@pytest.mark.nightly("0.3")
 def test_estimates_have_no_bias_even_where_draws_explain_nothing(noise):
     _, found, _ = estimate(1e-2, noise, pool=1000, size=40, count=200)
     error = float(found.estimates.std()) / 200**0.5

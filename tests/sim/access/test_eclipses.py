@@ -90,6 +90,7 @@ def first_after(row: torch.Tensor, times: torch.Tensor, now: torch.Tensor) -> to
 @pytest.mark.parametrize(
     ("part", "backend"), [(0, "eager"), *(pytest.param(part, "compiled", marks=pytest.mark.compiled) for part in (1, 2, 3))]
 )
+@pytest.mark.nightly("0-eager", "2-compiled", "3-compiled")
 def test_next_eclipses_of_random_orbits_against_brute_force(part, backend):
     """Perigees from 200 km to 35,786 km: illumination every 10 s for 1.1 revolutions, refined to a millisecond."""
     torch.manual_seed(part)

@@ -145,6 +145,7 @@ def test_every_tick_against_basilisk(name, recording, backend):
 
 @pytest.mark.parametrize("backend", ["eager", "compiled"])
 @pytest.mark.parametrize("name", FILES)
+@pytest.mark.nightly("eager")
 def test_every_step_against_basilisk(name, recording, backend):
     """bsk_rl's pairs after steps of 1 to 150 ticks."""
     file = recording(name)
@@ -177,6 +178,7 @@ def mixed_fleet(n: int, s: int, eccentricity: float, backend: str = "eager", **o
 
 
 @pytest.mark.parametrize(("eccentricity", "longest"), [(0.02, 30), (0.02, 900), (0.3, 900), (0.7, 6000)])
+@pytest.mark.nightly("eager-0.7-6000", "eager-0.3-900")
 def test_the_search_finds_what_brute_force_finds(eccentricity, longest, backend):
     fleet = mixed_fleet(12, 9, eccentricity, backend)
     asked, glimpses = torch.ones(12, dtype=torch.bool), 0

@@ -359,6 +359,7 @@ def check_against_bsk_rl(ground: GroundTrack, low: float, high: float, intervals
 
 
 @pytest.mark.parametrize(("segment", "number"), [(60.0, 200), (120.0, 150), (300.0, 50), (600.0, 10), (1800.0, 0)])
+@pytest.mark.nightly("120.0-150", "300.0-50", "600.0-10")
 def test_windows_are_those_of_bsk_rl(segment, number):
     """Segment after segment, some of them within passes; passes at both ends of the search. Short segments are full of quirks."""
     ground = flown_over(uniform(10, low=3e5, high=1.2e6), uniform(10, low=0.0, high=0.01), 241)
@@ -366,6 +367,7 @@ def test_windows_are_those_of_bsk_rl(segment, number):
 
 
 @pytest.mark.parametrize(("segment", "first"), [(600.0, 3600.0), (300.0, 5400.0), (600.0, 1200.0)])
+@pytest.mark.nightly("600.0-1200.0")
 def test_windows_after_a_long_first_interval_are_those_of_bsk_rl(segment, first):
     """As after a reset; there are no quirks in it, as long as the place is not near all the time."""
     ground = flown_over(uniform(10, low=3e5, high=8e5), uniform(10, low=0.0, high=0.01), 241)
@@ -373,6 +375,7 @@ def test_windows_after_a_long_first_interval_are_those_of_bsk_rl(segment, first)
 
 
 @pytest.mark.parametrize(("segment", "first"), [(300.0, 600.0), (300.0, 900.0), (600.0, 5400.0)])
+@pytest.mark.nightly("300.0-600.0", "300.0-900.0")
 def test_first_intervals_have_quirks_where_the_place_is_near_all_the_time(segment, first):
     """Higher orbits, or intervals of few segments: bsk_rl does not know how many segments an interval has."""
     ground = flown_over(uniform(10, low=1.5e6, high=2.2e6), uniform(10, low=0.0, high=0.01), 241)

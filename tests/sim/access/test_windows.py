@@ -149,6 +149,7 @@ def test_edges_are_roots(five_orbits):
         assert (limit - math.radians(10.0)).abs().amax() < 1e-11  # rad; elevation moves by 1e-3 rad/s
 
 
+@pytest.mark.nightly("eager")
 def test_windows_are_in_order_and_do_not_depend_on_the_batch_or_the_length_of_arcs(recording, fly, five_orbits):
     access = table(five_orbits, GENERATED)
     alone = table(fly(recording("windows")["ic"][2:3], segments_for(GENERATED)), GENERATED)
@@ -584,6 +585,7 @@ def near_stations(n: int = 1, count: int = 40) -> Sites:
     return Sites(unit * (R_EARTH + 1000.0), torch.sin(limit))
 
 
+@pytest.mark.nightly("eager")
 def test_each_environment_has_places_of_its_own(recording, fly):
     """Where one has fewer than others the rest are NaN; it sees what it would see alone, also in look-ahead."""
     initials, numbers = recording("windows")["ic"], [40, 3, 25, 1, 0]

@@ -259,6 +259,7 @@ def compared(
     [(LOW, 9), (ECCENTRIC, 6), (HIGH, 6), (GEOSTATIONARY, 3)],
     ids=["low", "eccentric", "high", "geostationary"],
 )
+@pytest.mark.nightly("eager")
 def test_passes_are_those_of_brute_force(orbit, examples, backend):
     counted = compared(orbit, examples, backend, near_the_track)
     for kind in ("open at the start", "cut by the end", "without a window"):
@@ -274,6 +275,7 @@ WHEN = {
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("when", WHEN)
+@pytest.mark.nightly("eager")
 def test_grazing_passes_are_those_of_brute_force(when, backend):
     counted = compared(LOW | ECCENTRIC, 6, backend, lambda ground, seed: grazing(ground, seed, *WHEN[when](ground)))
     kind = {"anywhere": "between two samples", "early": "in the first half minute", "late": "in the last half minute"}[when]
@@ -281,6 +283,7 @@ def test_grazing_passes_are_those_of_brute_force(when, backend):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.nightly("eager")
 def test_close_calls_are_those_of_brute_force(backend):
     counted = compared(LOW | ECCENTRIC, 6, backend, close_calls)
     assert counted["windows"] > 0.3 * counted["geometries"]

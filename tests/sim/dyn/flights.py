@@ -12,8 +12,8 @@ SCAN, CHARGE, DOWNLINK, DESAT = range(4)
 
 
 def fly(args: dict[str, Any], actions: tuple[int, ...] = (SCAN, DOWNLINK), **options: Any) -> SatelliteTasking:
-    """Return an environment of three satellites after some actions, each of which lasts a minute at the most."""
-    short = {"num_envs": 3, "backend": "eager", "max_step_duration": 60.0}
+    """Return an environment of three satellites after some actions, each of which lasts half a minute at the most."""
+    short = {"num_envs": 3, "backend": "eager", "max_step_duration": 30.0}
     env = SatelliteTasking(ScanningSatellite("A", args), seed=0, time_limit=900.0, **short | options)
     td = env.reset()
     for action in actions:

@@ -102,6 +102,7 @@ def test_kernels_agree_with_tensors_for_drawn_bodies(orbit):
 
 
 @pytest.mark.parametrize("orbit", ["arc", "integrated"])
+@pytest.mark.nightly("integrated")
 def test_gravity_turns_a_body_toward_the_vertical(orbit):
     """The torque is ``3 mu / r^3 x^ x (I x^)``: over a minute the momentum changes by as much."""
 

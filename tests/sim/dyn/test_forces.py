@@ -60,7 +60,7 @@ def make(dyn_type=PushedDynModel, thrust=THRUST, **options):
     return SatelliteTasking(Pushed("sat", args), dtype=torch.float64, sim_rate=10.0, seed=0, **({"backend": "eager"} | options))
 
 
-def axes(env, steps=3):
+def axes(env, steps=2):
     """Semi-major axes, m, after every ten minutes."""
     td, found = env.reset(), []
     for _ in range(steps):
@@ -77,14 +77,16 @@ def test_low_thrust_raises_the_orbit_as_gauss_says():
     """
     raised = axes(make()) - axes(make(thrust=0.0))
     f, v = THRUST / MASS, math.sqrt(MU / RADIUS)
-    time = 600.0 * torch.arange(1, 4, dtype=torch.float64)
+    time = 600.0 * torch.arange(1, 3, dtype=torch.float64)
     torch.testing.assert_close(raised, 2.0 * RADIUS * f / v * time, rtol=5e-3, atol=0.0)
 
 
 def test_forces_add_up_and_none_changes_nothing():
-    once, twice = axes(make(), 1), axes(make(TwiceDynModel, thrust=0.5 * THRUST), 1)
-    torch.testing.assert_close(once, twice, rtol=1e-14, atol=0.0)
-    assert torch.equal(axes(make(thrust=0.0), 1), axes(make(dyn.DynamicsModel, orbit="integrated"), 1))
+    def axis(*args, **options):
+        return axes(make(*args, max_step_duration=60.0, **options), 1)
+
+    torch.testing.assert_close(axis(), axis(TwiceDynModel, thrust=0.5 * THRUST), rtol=1e-14, atol=0.0)
+    assert torch.equal(axis(thrust=0.0), axis(dyn.DynamicsModel, orbit="integrated"))
 
 
 def test_rejects_forces_that_the_orbit_would_not_feel():

@@ -124,7 +124,7 @@ def test_drawn_panels_fly_alike_compiled():
         panelArea=rand.Uniform(0.1, 1.0, 3),
         panelAngles=rand.Choice([[0.1, 0.2, 0.0], [-0.3, 1.0, 0.0]]),
         panelRates=[0.01, 0.002, 0.0],
-        faults=[faults.panel(0.5, 2, at=100.0), faults.stuck_panel(panel=0, at=200.0), faults.stuck_panel([0, 1, 0], 2, at=90.0)],
+        faults=[faults.panel(0.5, 2, at=50.0), faults.stuck_panel(panel=0, at=100.0), faults.stuck_panel([0, 1, 0], 2, at=45.0)],
     )
     eager, compiled = (fly(args, (SCAN, CHARGE, SCAN), backend=backend) for backend in ("eager", "compiled"))
     for name in ("battery_charge", "panel_angles", "sigma_BN"):
@@ -135,11 +135,11 @@ def test_drawn_panels_fly_alike_compiled():
 
 def test_a_panel_that_is_stuck_stays_where_it_is():
     listed = {"panels": PAIR, "nHat_B": [0.0, 0.0, -1.0]}
-    stuck = fly(listed | {"faults": [faults.stuck_panel(panel=0, at=30.0)]}, (SCAN, SCAN))
+    stuck = fly(listed | {"faults": [faults.stuck_panel(panel=0, at=15.0)]}, (SCAN, SCAN))
     moved = fly(listed, (SCAN, SCAN))
     angle = stuck.satellite.dynamics.panel_angles[:, 0]
-    assert bool((angle.abs() <= 0.3 + 1e-6).all())
-    assert bool((moved.satellite.dynamics.panel_angles[:, 0].abs() > 0.3).any())
+    assert bool((angle.abs() <= 0.15 + 1e-6).all())
+    assert bool((moved.satellite.dynamics.panel_angles[:, 0].abs() > 0.15).any())
 
 
 def test_a_panel_that_fails_gives_a_share_of_its_power():

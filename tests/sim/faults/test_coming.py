@@ -67,6 +67,7 @@ def test_changes_that_are_to_come_are_drawn_again():
 
 
 @pytest.mark.parametrize("backend", ["eager", "compiled"])
+@pytest.mark.nightly("eager")
 def test_drawn_faults_act_in_the_tick(backend):
     fault = faults.Fault("clickSize", value=rand.Uniform(2.0, 4.0), at=rand.Uniform(0.0, 100.0), name="loud")
     env = clicking(fault, n=16, backend=backend)

@@ -84,6 +84,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+@pytest.mark.nightly("eager")
 def test_faults_act_from_the_tick_after_their_time(backend):
     """Every satellite has two, so that all have the same kernels, of which the second one may never happen."""
     failures = []
@@ -159,8 +160,8 @@ def test_ready_faults_of_wheels_and_instruments():
     turned = [each.simulator.state.read("motor_torque_B") for each in (env, sound)]
     assert float(turned[0][:, 0].abs().max()) <= 1e-12
     assert float(turned[1][:, 0].abs().max()) > 1e-6
-    lost = fly({"faults": [faults.instrument(at=0.0)]}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
-    sound = fly({}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
+    lost = fly({"faults": [faults.instrument(at=0.0)]}, actions=(SCAN,) * 4).satellite.dynamics.storage_level
+    sound = fly({}, actions=(SCAN,) * 4).satellite.dynamics.storage_level
     assert bool((lost < sound).any())
     assert not any(field.startswith("fault_") for field in fly({}, actions=()).simulator.tick.own.fields)
 

@@ -133,6 +133,7 @@ def random_spacecraft(n: int, count: int, h: float, law: str) -> tuple[dict[str,
 @pytest.mark.parametrize(
     ("law", "count", "h"), [("feedback", 3, 1.0), ("feedback", 6, 2.0), ("steering", 4, 0.5), ("steering", 8, 1.0)]
 )
+@pytest.mark.nightly("feedback-6-2.0", "steering-8-1.0")
 def test_random_spacecraft_turn_and_settle(law, count, h, caplog):
     """They settle in the time that the bandwidth tells, without a warning, with torques that die out, below the top speed.
 

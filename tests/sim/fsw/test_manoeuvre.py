@@ -27,6 +27,7 @@ def test_burns_are_clipped_to_the_tank_which_is_composed_with_other_software():
     assert Kick().name == "kick"
 
 
+@pytest.mark.nightly("integrated")
 def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
     env = make(orbit=orbit, sim_rate=0.5)
     td = env.reset()
@@ -44,6 +45,7 @@ def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
 
 
 @pytest.mark.parametrize("compat", [None, "bsk_rl"])
+@pytest.mark.nightly("integrated-bsk_rl")
 def test_a_second_manoeuvre_at_the_same_time(orbit, compat):
     """Is added; with the errors of bsk_rl it replaces the first, and both are paid for (double thrust)."""
     twice, once = make(orbit=orbit, compat=compat), make(orbit=orbit, compat=compat)
@@ -102,6 +104,7 @@ def test_thirty_manoeuvres_use_a_tank_up():
     assert not env.satellite.fsw.fuel_remaining().item()
 
 
+@pytest.mark.nightly("integrated")
 def test_manoeuvres_touch_no_other_rows(orbit):
     many, alone = make(3, orbit=orbit), make(1, orbit=orbit, env_ids=[1])
     tds = [env.reset() for env in (many, alone)]

@@ -36,6 +36,7 @@ HEATER = Component("heater", heat, after="transmitter_draw", flags=("heater_on",
 
 
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+@pytest.mark.nightly("eager")
 def test_a_component_brings_a_flag(backend):
     """It is 1 in the modes that list it and, as an idle flag, before the first command."""
     modes = {"warm": fsw.Mode(("control_on", "sun_on", "heater_on")), "cold": fsw.Mode(("control_on", "sun_on"))}

@@ -113,6 +113,7 @@ def test_padding(count):
 
 
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+@pytest.mark.nightly("eager")
 def test_the_degree_of_the_field_belongs_to_the_dynamics_model(backend):
     """Arcs and integrated orbits of degree 4 agree with each other, and differ from those of degree 10 by the missing terms."""
     model = type("Coarse", (dyn.DynamicsModel,), {"gravity_degree": 4})

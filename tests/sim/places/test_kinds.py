@@ -215,6 +215,7 @@ def by_definition(clearance: Clearance, r_B: torch.Tensor, r_L: torch.Tensor, r_
 
 
 @pytest.mark.parametrize("name", CLEARANCES)
+@pytest.mark.nightly("line of sight")
 def test_windows_of_places_in_orbit_are_those_of_dense_samples(world, name):
     places = OrbitingPlaces(world.tables, "debris", CLEARANCES[name])
     passes = find_passes(places, torch.arange(SATELLITES), world.track)

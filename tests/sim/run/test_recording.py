@@ -36,6 +36,7 @@ def played(env, steps):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.nightly("eager")
 def test_recording_changes_nothing_and_shows_what_satellites_are_at_the_ends_of_steps(backend):
     """Across steps and resets; rows that are not recorded are not in it."""
     short = {"time_limit": 20.0, "max_step_duration": 12.0} if backend == "eager" else {}  # whose ticks take milliseconds each
@@ -69,6 +70,7 @@ def test_recording_changes_nothing_and_shows_what_satellites_are_at_the_ends_of_
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.nightly("4-eager")
 def test_records_are_the_states_after_each_tick(backend, every):
     """The same flight in one run, and tick by tick."""
     whole, single = scan(backend), scan(backend)
@@ -89,6 +91,7 @@ def test_records_are_the_states_after_each_tick(backend, every):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("population", [None, (1, 2)])
+@pytest.mark.nightly("population1")
 def test_satellites_whose_events_end_steps(population):
     """In a constellation the image of one ends the run of all, in lockstep."""
     options = dict(num_envs=3, n_satellites=3, n_targets=120, seed=3, time_limit=2400.0)
@@ -162,6 +165,7 @@ def test_rejects_wrong_recordings():
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", ["NadirScan-v1", "RelayConstellation-v1"])
+@pytest.mark.nightly("RelayConstellation-v1-eager")
 def test_properties_are_those_of_the_ends_of_steps(name, backend):
     """Of three numbers and of one, beside fields; NaN for satellites whose models do not have them."""
     length = 60.0 if backend == "compiled" else 15.0  # ticks of the eager back end take milliseconds

@@ -343,6 +343,7 @@ def test_satellites_fly_in_parts_as_in_one(scanners):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.nightly("dtype1")
 def test_satellites_of_a_team_are_bit_identical_to_lonely_ones(dtype):
     """In all modes, where images end runs: whatever the team, each is as if it had been to fly that long."""
     env = bsk_torch.make("AEOS-v1", num_envs=84, n_targets=300, seed=4, backend="compiled", sim_dtype=dtype)

@@ -78,6 +78,7 @@ def flown(env):
         pytest.param("integrated", "compiled", marks=pytest.mark.compiled),
     ],
 )
+@pytest.mark.nightly("integrated")
 def test_a_component_reads_what_its_leader_records_in_the_same_tick(backend, orbit):
     env = build(backend, orbit=orbit)
     followers, leaders = env.fleet.simulators
@@ -124,6 +125,7 @@ def test_traces_in_parts_are_those_of_the_whole(monkeypatch):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("lockstep", [1, 2])
+@pytest.mark.nightly("2")
 def test_kernels_of_rows_that_stop_write_the_same_traces_as_the_eager_back_end(lockstep):
     traces = []
     event = dataclasses.replace(IMAGE_EVENT, records=("Omega_WB_B",))

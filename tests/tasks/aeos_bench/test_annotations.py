@@ -24,7 +24,7 @@ from bsk_torch.tasks.aeos_bench.preset import aeos_bench
 from tests.support.refusals import check_refusals, refusal
 from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 
-SECONDS = 400
+SECONDS = 300
 
 pytestmark = pytest.mark.compiled
 

@@ -36,14 +36,14 @@ def counted(env):
 @pytest.mark.compiled
 @pytest.mark.parametrize("options", [dict(), dict(step_duration=10.0), dict(step_duration=60.0, until_done=True)])
 def test_an_episode_that_ends_when_all_tasks_are_closed_has_the_measures_of_the_whole(options, tmp_path):
-    """The last task is due at 600 s, or succeeds before: the same choices, successes and energies, in less time."""
-    due = [dict(task, due_time=min(task["due_time"], 600 - k)) for k, task in enumerate(tasks(200))]
+    """The last task is due at 300 s, or succeeds before: the same choices, successes and energies, in less time."""
+    due = [dict(task, due_time=min(task["due_time"], 300 - k)) for k, task in enumerate(tasks(200))]
     write(tmp_path / "a", constellation(3), due)
     write(tmp_path / "b", constellation(2), due[:1])
     flown = {}
     for early in (False, True):
         env = bsk_torch.make(
-            "AEOSBench-v1", num_envs=2, folder=tmp_path, order="listed", seed=0, time_limit=800, end_when_closed=early, **options
+            "AEOSBench-v1", num_envs=2, folder=tmp_path, order="listed", seed=0, time_limit=400, end_when_closed=early, **options
         )
         rule, returns, done = bsk_torch.rule("nearest_task", env), torch.zeros(2), torch.zeros(2, dtype=torch.bool)
         for playing, step in play_episodes(env, rule):
@@ -51,7 +51,7 @@ def test_an_episode_that_ends_when_all_tasks_are_closed_has_the_measures_of_the_
             done |= step["next", "terminated"].squeeze(-1)
         flown[early] = env.rewarder.measures() | {"returns": returns}
         assert done.all() if early else not done.any()
-        assert int(env.fleet.ticks.max()) <= 660 if early else int(env.fleet.ticks.min()) == 800
+        assert int(env.fleet.ticks.max()) <= 360 if early else int(env.fleet.ticks.min()) == 400
     for name, value in flown[False].items():
         torch.testing.assert_close(flown[True][name], value, rtol=0.0, atol=0.0, equal_nan=True, msg=name)
     assert flown[True]["CR"][0] > 0.0
@@ -63,7 +63,7 @@ def test_an_episode_that_ends_when_all_tasks_are_closed_has_the_measures_of_the_
 def test_a_flight_is_that_of_every_second_with_the_same_choices(options):
     """Successes, progress and attitudes are equal; energies and rewards are sums in another order."""
     held = bsk_torch.make("AEOSBench-v1", num_envs=3, rewarder=TaskReward(0.5), **SIZES, **options)
-    returns, assigned = fly(held, 900)
+    returns, assigned = fly(held, 480)
     ends, single = held.fleet.ticks, bsk_torch.make("AEOSBench-v1", num_envs=3, rewarder=TaskReward(0.5), **SIZES)
     td, sums = single.reset(), torch.zeros_like(returns)
     seen = []

@@ -37,6 +37,7 @@ def choices(file: dict[str, NDArray], count: int) -> NDArray:
     ("name", "backend"),
     [*(pytest.param(name, "compiled", marks=pytest.mark.compiled) for name in ("random", "odd", "greedy")), ("odd", "eager")],
 )
+@pytest.mark.nightly("odd-eager", "greedy-compiled")
 def test_access_and_successes_are_those_of_basilisk(name, backend, tmp_path):
     """All events to the second: the flights are gentle enough for two flights of Basilisk to have the same (``sensitivity``)."""
     file = Flight.file_of(name)

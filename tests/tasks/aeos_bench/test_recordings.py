@@ -63,6 +63,7 @@ def forced(name: str, **options) -> tuple[Flight, np.ndarray]:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "greedy"])
 @pytest.mark.parametrize("backend", ["compiled", "eager"])
+@pytest.mark.nightly("eager")
 def test_a_tick_from_every_recorded_state(name, backend):
     flight, rows = forced(name, backend=backend)
     for field, bound in TICK.items():
@@ -86,6 +87,7 @@ def test_a_tick_from_every_recorded_state(name, backend):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("backend", ["compiled", "eager"])
+@pytest.mark.nightly("eager")
 def test_a_flight(name, backend):
     """The whole flight by recorded actions: states, and access of every pair in every tick."""
     flight = Flight(name, backend=backend)

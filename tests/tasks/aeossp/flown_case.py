@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from datetime import datetime, timezone
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,28 @@ def place(case: Case, number: int, second: float, across: float) -> np.ndarray:
     along = -(r @ line)
     point = r + line * (along - np.sqrt(EARTH**2 - r @ r + along**2))
     return turned(point[None], -sidereal_time_1982(ephemeris_time(case, at)).numpy())[0]
+
+
+LOOKS = [
+    (0, 300, 10, 10.0),
+    (0, 340, 15, -15.0),  # 25 degrees away, 30 s later
+    (0, 360, 10, 20.0),  # 35 degrees away, 5 s later
+    (0, 500, 10, 0.0),
+    (1, 300, 20, 10.0),
+    (1, 400, 10, -20.0),
+    (1, 700, 10, 38.0),  # beyond the limit of 30 degrees
+    (2, 200, 10, 5.0),
+    (2, 240, 15, -12.0),
+    (2, 900, 60, 0.0),
+]
+"""Satellite, start, duration, angle across."""
+
+
+@cache
+def small() -> tuple[Case, Observations]:
+    """The case, and a plan of which some observations cannot be delivered."""
+    crew = [satellite(0, 0, AGILE), satellite(1, 1, SLOW), satellite(2, 0, AGILE, initial_wh=9.0, charge_w=5.0, idle_w=10.0)]
+    return case_of(crew, LOOKS)
 
 
 def write_case(folder: Path, case: Case) -> None:

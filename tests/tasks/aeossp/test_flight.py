@@ -9,37 +9,17 @@ import numpy as np
 import pytest
 
 from bsk_torch.astro.earth_rotation import sidereal_time_1982
-from bsk_torch.tasks.aeossp import Case, Observations, write_solution
+from bsk_torch.tasks.aeossp import write_solution
 from bsk_torch.tasks.aeossp.flight import REASONS, Flight, _simulator, fly
 from bsk_torch.tasks.aeossp.geometry import ephemeris_time, on_ellipsoid, orbit, tracks, turned
 from bsk_torch.tasks.aeossp.margins import completed_weight, delivered, fitting_factor, thinned
 from bsk_torch.tasks.aeossp.rules import check
 from tests.support.refusals import check_refusals, refusal
-from tests.tasks.aeossp.flown_case import AGILE, SLOW, case_of, satellite, write_case
+from tests.tasks.aeossp.flown_case import small, write_case
 
 pytestmark = pytest.mark.compiled
 
-LOOKS = [
-    (0, 300, 10, 10.0),
-    (0, 340, 15, -15.0),  # 25 degrees away, 30 s later
-    (0, 360, 10, 20.0),  # 35 degrees away, 5 s later
-    (0, 500, 10, 0.0),
-    (1, 300, 20, 10.0),
-    (1, 400, 10, -20.0),
-    (1, 700, 10, 38.0),  # beyond the limit of 30 degrees
-    (2, 200, 10, 5.0),
-    (2, 240, 15, -12.0),
-    (2, 900, 60, 0.0),
-]
-"""Satellite, start, duration, angle across."""
-
 EXPECTED = [None, None, "pointing", None, None, None, "off_nadir", None, None, "battery"]
-
-
-@cache
-def small() -> tuple[Case, Observations]:
-    crew = [satellite(0, 0, AGILE), satellite(1, 1, SLOW), satellite(2, 0, AGILE, initial_wh=9.0, charge_w=5.0, idle_w=10.0)]
-    return case_of(crew, LOOKS)
 
 
 @cache

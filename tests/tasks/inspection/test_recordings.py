@@ -95,6 +95,7 @@ def differences(env, recorded: Episodes, step) -> Worst:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.nightly("fine", "tumble", "one", "steer")
 def test_an_episode_is_the_recorded_one(case):
     """Orbits, fuel, points, rewards, who leaves and when steps end, times of completion; attitudes that are not chaotic."""
     recorded = load(case)

@@ -98,6 +98,7 @@ def differences(env, recorded: Episodes) -> tuple[dict[str, float], list[list[li
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.nightly("one", "per")
 def test_episodes_are_the_recorded_ones(case):
     """Orbits, attitudes, candidates, rows of observations, holds, images, deliveries, credits and ends of steps."""
     parts = load(case)
