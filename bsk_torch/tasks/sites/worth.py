@@ -41,7 +41,8 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
 
     With the time t until an image of a site is taken and n images that are left, it is::
 
-        finish * chance^nerve * (1 + loyalty * done / size) * exp(-(t + (n - 1) * each) / patience) * sigmoid((margin - reserve) / doubt)
+        finish * chance^nerve * (1 + loyalty * done / size) * exp(-(t + (n - 1) * each) / patience)
+            * sigmoid((margin - reserve) / doubt)
 
     and further ``alone * step * (1 - risk) * exp(-t / patience)``.
 
