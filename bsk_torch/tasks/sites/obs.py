@@ -20,7 +20,7 @@ NEXT = 64
 """Images among which the others of a site are looked for: the 32 observed ones, and those that close within a minute or more."""
 
 
-SLEW, EACH = 45.0, 21.4
+SLEW, EACH = 60.0, 21.4
 """Time for a turn of one radian, which grows with the square root of the angle, and for each further image of a site, s."""
 
 
