@@ -1,13 +1,14 @@
 """Sites-v1 and SitesTeam-v1: mosaics of 3 to 6 images that pay when they are complete, under weather with a forecast.
 
-The agile satellite of :mod:`bsk_torch.presets.aeos`, which time limits, not power or storage, flies half an orbit at 5 degrees
-inclination over 300 sites within 9 degrees of the equator. Several sites are in view at once, with more images than can be taken,
-so that it matters which sites to begin, which to leave, and in which order to take the images of neighboring ones.
+A satellite like that of :mod:`bsk_torch.presets.aeos`, which turns more slowly, and which time limits, not power or storage,
+flies half an orbit at 5 degrees inclination over 300 sites within 9 degrees of the equator. Several sites are in view at once,
+with more images than can be taken, so that it matters which sites to begin, which to leave, and in which order to take the images
+of neighboring ones.
 
-In SitesTeam-v1, two satellites fly one behind the other, 4 degrees apart, over the same sites. Images of both count together, and
-each knows at once what the other has taken.
+In SitesTeam-v1, two satellites, as agile as in AEOS-v1, fly one behind the other, 4 degrees apart, over the same sites. Images of
+both count together, and each knows at once what the other has taken.
 
-Observation, 12 + 32 * 25 + 1 = 813 numbers: satellite and time as in AEOS-v1, and of each of the next 32 images, in order of
+Observation, 12 + 32 * 29 + 1 = 941 numbers: satellite and time as in AEOS-v1, and of each of the next 32 images, in order of
 closing time:
 
 ============================  ==================================================================================
@@ -22,11 +23,14 @@ closing time:
 ``site_chance``               probability that all images that are left are clear
 ``site_step_normd``           what the image pays if it is clear and the next one of its site, divided by 6
 ``site_finish_normd``         what all images that are left pay if they are clear, divided by 6
+``site_margin_normd``         least time by which it and the others that are left are in time, if it is next and each
+                              further one takes 21.4 s, divided by 300 s
+``site_others_normd`` (3)     mean place of the images that are left, relative to it, in the Hill frame, divided by 100 km
 ``commit_worth``              what it is worth to the rule *commit*, divided by that of the best; -1 out of reach
 ``site_code`` (8)             a code of the number of the site, of -1 and 1
 ============================  ==================================================================================
 
-With ``as_set=True``, they are ``rows`` [N, 32, 25] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
+With ``as_set=True``, they are ``rows`` [N, 32, 29] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
 been taken are clear.
 
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
@@ -41,6 +45,7 @@ Random at reset: orbit; places, sizes, values and directions of sites; risks and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -61,6 +66,9 @@ APART = 4.0
 
 SITES = 300
 """Number of sites."""
+
+SLOW: dict[str, object] = dict(u_max=0.1, omega_max=math.radians(2.0))
+"""Largest torque of a wheel, N m, and largest rate, rad/s: a turn to a neighboring image takes 20 s, one of 30 degrees 60 s."""
 
 
 class SitesSatellite(AgileSatellite):
@@ -84,7 +92,7 @@ def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> S
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
-    arguments = agile_args() | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
+    arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
     return agile_environment((SitesSatellite, SitesSetSatellite), arguments, as_set, _parts(n_sites) | options)
 
 

@@ -13,25 +13,27 @@ Number = Tensor | float
 
 
 class Commitment(NamedTuple):
-    """Numbers of :func:`worth`. The defaults are the best of 128 settings in 6,272 episodes of Sites-v1, rounded.
+    """Numbers of :func:`worth`. The defaults are the best of 96 settings in 4,864 episodes of Sites-v1, rounded.
 
     Attributes:
         patience: Time that divides the value of what is finished later by e, s.
         loyalty: Additional value of a site as it approaches completion.
         each: Time for each further image of a site, s.
-        slack: Time by which the last image may be estimated to be late, s.
+        reserve: Margin with which a site is completed in every other case, s.
+        doubt: How slowly confidence in completing a site grows with the margin, s.
         slew: Time for a turn of one radian, s; it grows with the square root of the angle.
         alone: Weight of what an image pays without the others.
         nerve: Exponent of the probability that all images are clear: 0 for one who does not look at the forecast.
     """
 
-    patience: Number = 86.0
-    loyalty: Number = 5.0
-    each: Number = 21.4
-    slack: Number = 63.0
-    slew: Number = 45.0
-    alone: Number = 0.77
-    nerve: Number = 0.5
+    patience: Number = 125.5
+    loyalty: Number = 4.05
+    each: Number = 23.4
+    reserve: Number = 0.3
+    doubt: Number = 30.2
+    slew: Number = 45.9
+    alone: Number = 0.42
+    nerve: Number = 0.46
 
 
 def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
@@ -40,9 +42,9 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
     With the time t until an image of a site is taken and n images that are left, it is::
 
         finish * chance^nerve * (1 + loyalty * done / size) * exp(-(t + (n - 1) * each) / patience)
+            * sigmoid((margin - reserve) / doubt)
 
-    if ``t + (n - 1) * each`` is less than the time until the window closes plus ``slack``; and further
-    ``alone * step * (1 - risk) * exp(-t / patience)``.
+    and further ``alone * step * (1 - risk) * exp(-t / patience)``.
 
     Args:
         read: Function from the name of an observed property to its values, [N, n].
@@ -52,6 +54,7 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
     closes = read("opportunity_close")
     last = taken + (read("site_left") - 1.0).clamp(min=0.0) * numbers.each
     nearly = 1.0 + numbers.loyalty * read("site_done") / read("site_size").clamp(min=1.0)
-    whole = read("site_finish") * read("site_chance") ** numbers.nerve * nearly * torch.exp(-last / numbers.patience)
+    in_time = torch.sigmoid((read("site_margin") - numbers.reserve) / numbers.doubt)
+    whole = read("site_finish") * read("site_chance") ** numbers.nerve * nearly * in_time * torch.exp(-last / numbers.patience)
     step = numbers.alone * read("site_step") * (1.0 - read("risk")) * torch.exp(-taken / numbers.patience)
-    return torch.where(taken < closes, torch.where(last < closes + numbers.slack, whole, 0.0) + step, -1.0 - 1e-6 * taken)
+    return torch.where(taken < closes, whole + step, -1.0 - 1e-6 * taken)
