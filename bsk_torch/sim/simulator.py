@@ -257,7 +257,7 @@ class Simulator:
         if command not in self.type.commands:
             having = commanded_by(command)
             advice = f"add {' or '.join(having)} to fsw_type" if having else nearest(command, self.type.commands)
-            raise ValueError(f"the flight software has no command {command!r} (fsw_action); {advice}")
+            raise ValueError(f"fsw_action={command!r}: the flight software has no such command; {advice}")
         entry, table = self.type.commands[command], self.type.arguments.sat_args.table
         for mode in entry.modes:
             if mode not in self.mode_names:
