@@ -20,7 +20,7 @@ from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.act import Image
-from bsk_torch.act.base import Action
+from bsk_torch.act.base import Action, ActionBuilder
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
@@ -194,7 +194,7 @@ class Flight:
     def _note_offers(self) -> None:
         """Note the targets that the actions of the satellites choose at the coming decision."""
         for group in self.env.satellites:
-            if form(group) is None:
+            if isinstance(group.actions, ActionBuilder):
                 targets, opens = (part.tolist() for part in group.actions.offers())
                 self.offers |= {column: (targets[row], opens[row]) for row, column in enumerate(group.simulator.columns)}
 
