@@ -16,7 +16,7 @@ from bsk_torch.sim.state import StateTable
 
 HOOKS = (
     *("n_actions", "n_negative_actions", "target_actions", "link_satellite", "names"),
-    *("table", "decide", "begin", "end", "mask", "aimed_at"),
+    *("table", "decide", "begin", "end", "mask", "aimed_at", "offers"),
 )
 """Members of :class:`Action` that subclasses may define."""
 
@@ -204,6 +204,13 @@ class Action(Entry):
         """Return the target that each satellite has chosen last with the entry, [N] int64, -1 for none; None without targets."""
         return None
 
+    def offers(self) -> tuple[Tensor, Tensor] | None:
+        """Return the targets of the entry's :attr:`target_actions`, and when their windows open; None without targets.
+
+        Targets are [N, n] int64, -1 for none, and times [N, n] float64 s, NaN where there are no windows.
+        """
+        return None
+
     def mask(self) -> Tensor:
         """Return which of the entry's actions are legal now, [N, n_actions] bool (default: all)."""
         ticks = self.satellite.simulator.ticks
@@ -296,6 +303,17 @@ class ActionBuilder:
     def declare(self, task: StateTable) -> None:
         """Declare the actions in progress in the table of tasks."""
         task.declare("action", 0, low=-self.n_negative_actions, high=self.n_actions - 1)
+
+    def offers(self) -> tuple[Tensor, Tensor]:
+        """Return the targets of all actions and when their windows open, [N, n_actions]; see :meth:`Action.offers`."""
+        target = torch.full_like(self._all_legal, -1, dtype=torch.int64)
+        opens = torch.full_like(target, torch.nan, dtype=torch.float64)
+        for start, entry in zip(self._starts, self.entries, strict=True):
+            part, offer = entry.target_actions, entry.offers()
+            if part and offer is not None:
+                columns = slice(start + part.start, start + part.stop)
+                target[:, columns], opens[:, columns] = offer
+        return target, opens
 
     def entry_of(self, action: int | Tensor) -> int:
         """Return the number of the entry to which an action belongs."""

@@ -50,6 +50,13 @@ class CandidateAction(Action):
         return self.satellite.simulator.memory[self.aim] if self.aim else None
 
     @override
+    def offers(self) -> tuple[Tensor, Tensor] | None:
+        if not self.aim:
+            return None
+        place, exists = self.candidates()
+        return torch.where(exists, place, -1), torch.full_like(place, torch.nan, dtype=torch.float64)
+
+    @override
     def mask(self) -> Tensor:
         return self.candidates()[1]
 

@@ -89,6 +89,14 @@ class Image(CandidateAction):
         self.satellite.access_windows.expect(self.n_actions, self.n_negative_actions)
 
     @override
+    def offers(self) -> tuple[Tensor, Tensor]:
+        known = torch.zeros_like(self.satellite.simulator.ticks)  # no look-ahead for the sake of a picture
+        windows = self.satellite.find_next_opportunities(self.n_actions, self.kind, known, may_see_nothing=True)
+        same = windows.place.unsqueeze(-1) == windows.place.unsqueeze(-2)  # as in decide, a target's first window counts
+        opens = torch.where(same, windows.open.unsqueeze(-2), torch.inf).amin(-1)
+        return torch.where(windows.found.unsqueeze(-1) > 0, windows.place, -1), opens
+
+    @override
     def mask(self) -> Tensor:
         simulator = self.satellite.simulator
         first = not simulator.type.compat and simulator.type.arguments.is_new(f"late windows of {self.name}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from bsk_torch.cli.shared import environment, made
 from bsk_torch.cli.terminal import Failure, fail, refusing
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.results import TRAINED
+from bsk_torch.rl.policies.files import OBJECTS
 from bsk_torch.rl.policies.interface import Loaded
 from bsk_torch.rl.policies.loading import (
     check_takes,
@@ -29,6 +31,8 @@ from bsk_torch.rl.policies.loading import (
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, as_policy, shared
 from bsk_torch.wrappers.policies import Actor
+
+logger = logging.getLogger(__name__)
 
 Enter = Callable[[str, Callable[..., Tasking]], Any]
 """Enters a policy: a function of the name of a preset and of a function that makes its environment. It is to return this
@@ -73,6 +77,7 @@ class NamedPolicy:
             if trained
             else ""
         )
+        warn_of_objects(self.name, self.card, self.preset, options)
         return environment(self.preset, num_envs, self.options(options) | {"env_ids": [0] * num_envs}, why)
 
     def build(self, env: Tasking) -> Actor:
@@ -124,6 +129,17 @@ class NamedFunction(NamedPolicy):
             return as_policy(self.entered[1], env)
 
     actor = build  # which is for all agents
+
+
+def warn_of_objects(name: str, card: Mapping[str, Any], preset: str, options: Iterable[str]) -> None:
+    """Log a warning if a policy was trained with objects that its file does not keep, and that ``options`` do not replace."""
+    lost = [option for option in card.get(OBJECTS, []) if option not in options]
+    if lost and preset == card["preset"]:
+        logger.warning(
+            "%s was trained with its own %s, objects that its file does not keep: these are episodes of %s without them; name a "
+            "function that returns the environment, --preset file.py:name",
+            *(name, ", ".join(lost), preset),
+        )
 
 
 def named_policy(name: str, preset: str | None, trust: bool = False) -> NamedPolicy:

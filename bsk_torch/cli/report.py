@@ -42,8 +42,10 @@ def report(
         bsk-torch report runs/scan --episodes 256
         bsk-torch report runs/mine --preset mine.py:scanner
     """
+    from bsk_torch.cli.policies import warn_of_objects
     from bsk_torch.cli.run_folder import columns, command_of, results, run_card, run_config
     from bsk_torch.rl.evaluation.results import EVALUATION
+    from bsk_torch.rl.policies.files import OBJECTS
     from bsk_torch.rl.training.log import EVALUATIONS, LOG
 
     config = run_config(run)
@@ -52,7 +54,9 @@ def report(
     comparison = results(run / EVALUATION)
     check_writable(run / REPORT)
     pages = extra("bsk_torch.viz.report.page")
-    chosen, recording = _episodes(config, card, config.options | options, episodes)
+    warn_of_objects(str(run), card, config.preset, ())
+    kept = {name: value for name, value in config.options.items() if name not in card.get(OBJECTS, [])}
+    chosen, recording = _episodes(config, card, kept | options, episodes)
     viewer = absent_room("bsk_torch.viewer.page")
     data = pages.RunData(
         name=run.resolve().name,

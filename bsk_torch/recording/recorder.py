@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.act import Image
-from bsk_torch.act.base import Action
+from bsk_torch.act.base import Action, ActionBuilder
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
@@ -88,6 +88,8 @@ class Choice:
     probability: list[float]
     value: list[float]
     control: list[float]
+    targets: list[int]
+    opens: list[float]
     observation: list[float]
 
 
@@ -136,6 +138,7 @@ class Flight:
         self.env, self.slots, self.policy = env, _slots(env), as_policy(policy, env)
         self.noted, self.choices, self.actions = _Noted(), list[Choice](), list[TensorDictBase]()
         self.latest: dict[int, Choice] = {}
+        self.offers: dict[int, tuple[list[int], list[float]]] = {}
         self.types = {column: satellite for satellite in env.satellites for column in satellite.simulator.columns}
 
     def fly(
@@ -177,6 +180,7 @@ class Flight:
 
         def act(tensordict: TensorDictBase) -> TensorDictBase:
             number = len(self.actions)
+            self._note_offers()
             decided = policy(tensordict)
             if number < len(past):
                 decided.update(past[number])
@@ -186,6 +190,13 @@ class Flight:
             return decided
 
         return act
+
+    def _note_offers(self) -> None:
+        """Note the targets that the actions of the satellites choose at the coming decision."""
+        for group in self.env.satellites:
+            if isinstance(group.actions, ActionBuilder):
+                targets, opens = (part.tolist() for part in group.actions.offers())
+                self.offers |= {column: (targets[row], opens[row]) for row, column in enumerate(group.simulator.columns)}
 
     # -- between steps ------------------------------------------------------------------------------------------------
 
@@ -266,6 +277,8 @@ class Flight:
             probability=probability,
             value=value,
             control=control,
+            targets=self.offers[satellite][0] if satellite in self.offers else [],
+            opens=self.offers[satellite][1] if satellite in self.offers else [],
             observation=_flat(part["observation"]) if "observation" in part else [],
         )
 
@@ -413,6 +426,8 @@ class Flight:
         masks = np.zeros((len(choices), actions), "u1")
         for row, choice in zip(masks, choices, strict=True):
             row[: len(choice.mask)] = choice.mask
+        offered = _padded([choice.targets for choice in choices], actions, -1.0)
+        offers = {"action_target": offered, "action_opens": _padded([choice.opens for choice in choices], actions)}
         controls = max((len(choice.control) for choice in choices), default=0)
         return {
             **{
@@ -425,6 +440,7 @@ class Flight:
             "decision_action_value": _padded([choice.value for choice in choices], actions),
             "observation": _padded([choice.observation for choice in choices], observed),
             **({"decision_control": _padded([choice.control for choice in choices], controls)} if controls else {}),
+            **({f"decision_{name}": values for name, values in offers.items()} if (offered >= 0).any() else {}),
         }
 
 
@@ -631,8 +647,8 @@ def _flat(observed: Any) -> list[float]:
     return [number for value in observed.values() for number in _flat(value)]
 
 
-def _padded(rows: list[list[float]], width: int) -> Array:
-    table = np.full((len(rows), max([width, *map(len, rows)])), np.nan)
+def _padded(rows: Sequence[Sequence[float]], width: int, missing: float = np.nan) -> Array:
+    table = np.full((len(rows), max([width, *map(len, rows)])), missing)
     for row, values in zip(table, rows, strict=True):
         row[: len(values)] = values
     return table

@@ -121,6 +121,8 @@ TRACK_ARRAYS: dict[str, Form] = {
     "decision_probability": _form("f4", "D A", rounded=True),
     "decision_action_value": _form("f4", "D A", rounded=True),
     "decision_control": _form("f4", "D C", required=False),
+    "decision_action_target": _form("i4", "D A", required=False),
+    "decision_action_opens": _form("f4", "D A", required=False, rounded=True),
     "observation": _form("f4", "D O", rounded=True),
     "event_time": _form("f8", "E"),
     "event_satellite": _form("i4", "E"),
@@ -147,9 +149,10 @@ TRACK_ARRAYS: dict[str, Form] = {
 }
 """Arrays of a track: K keyframes, between which cubic Hermite polynomials give the S satellites (NaN for absent ones);
 attitudes at M equal steps; n series at J times; D decisions in the order of their times with A actions, C controls and O observed
-numbers; E events of targets (kinds: see :data:`EVENTS`); L links; P passes over stations; Q eclipses; G keyframes of T
-objects in orbit; B boundaries of steps with q quantities of each satellite, and the rewards of the steps that begin there (NaN at
-the end, and for satellites but the first of an agent); when each of m marks was first set on a target, infinite for never.
+numbers, and the target of each action, -1 for none, with the time at which its window opens; E events of targets (kinds: see
+:data:`EVENTS`); L links; P passes over stations; Q eclipses; G keyframes of T objects in orbit; B boundaries of steps with q
+quantities of each satellite, and the rewards of the steps that begin there (NaN at the end, and for satellites but the first of
+an agent); when each of m marks was first set on a target, infinite for never.
 Recordings without optional arrays come from older versions, or have nothing to record."""
 
 EVENTS = ("rewarded", "unrewarded", "delivered")

@@ -256,8 +256,8 @@ class Simulator:
         """Raise ValueError for a command that the flight software does not have, or whose modes or argument do not exist."""
         if command not in self.type.commands:
             having = commanded_by(command)
-            advice = f"{' or '.join(having)} has it" if having else nearest(command, self.type.commands)
-            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {advice}")
+            advice = f"add {' or '.join(having)} to fsw_type" if having else nearest(command, self.type.commands)
+            raise ValueError(f"fsw_action={command!r}: the flight software has no such command; {advice}")
         entry, table = self.type.commands[command], self.type.arguments.sat_args.table
         for mode in entry.modes:
             if mode not in self.mode_names:

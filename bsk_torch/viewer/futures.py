@@ -79,7 +79,7 @@ class Futures:
 
         flown = flight.fly(parent.seed, self.until, parent.actions[: choice.step + 1], change)
         craft = crafts_of(self.env)[choice.satellite]
-        label = f"{craft.name}: {craft.actions[action]} at {choice.time:,.0f} s"
+        label = f"{craft.name}: {craft.actions[action].removeprefix('action_').replace('_', ' ')} at {choice.time:,.0f} s"
         return self._add(flown, scene=parent.track.scene, parent=track, branch=where, label=label)
 
     def values(self, track: int, decision: int) -> list[float]:

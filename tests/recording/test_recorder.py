@@ -187,6 +187,11 @@ def test_images_are_events(team):
     arrays, track = recording.tracks[0].arrays, recording.tracks[0]
     assert len(arrays["event_time"]) == track.counts["imaged"] > 0
     assert (arrays["decision_target"] >= 0).all()
+    chosen = np.arange(len(arrays["decision_action"])), arrays["decision_action"]
+    assert (arrays["decision_action_target"][chosen] == arrays["decision_target"]).all()
+    paid = arrays["decision_reward"] > 0.0
+    opened = arrays["decision_action_opens"][chosen] <= arrays["decision_end"]
+    assert opened[paid].mean() > 0.8  # an image as a window closes is paid after the next decision, for the same target
     pairs = set(zip(arrays["decision_satellite"].tolist(), arrays["decision_target"].tolist(), strict=True))
     assert set(zip(arrays["event_satellite"].tolist(), arrays["event_target"].tolist(), strict=True)) <= pairs
     assert recording.scenes[0].arrays["targets_P"].shape == (300, 3)

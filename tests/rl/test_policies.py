@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch.cli.policies import warn_of_objects
 from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.checksummed import CHECKSUM_MARK, save_checksummed
 from bsk_torch.rl.policies.files import check_fits, policy_of_file, read_card, save_policy
@@ -113,11 +114,25 @@ def test_rejects_files_of_others(path, tmp_path):
         refusal(lambda: planned(12, (8,) * 65), ValueError, "policy.pt", "65 layers", "64"),
         refusal(lambda: planned(12, (8,) * 10**5), ValueError, "policy.pt", version),
         refusal(lambda: planned(-1, (8,)), ValueError, "policy.pt", version),
-        refusal(lambda: saved(options={"a": [[1]]}), ValueError, "policy.pt", version),
+        refusal(lambda: saved(options={"a": [[[[[1]]]]]}), ValueError, "policy.pt", version),
+        refusal(lambda: saved(options={"a": {"b": {1: 2}}}), ValueError, "policy.pt", version),
+        refusal(lambda: saved(objects=["a b"]), ValueError, "policy.pt", version),
         refusal(lambda: weight(torch.zeros(1).expand(10**6, 10**5)), ValueError, "policy.pt", "tensors have 400,000,000"),
         refusal(lambda: weight(torch.zeros(2, 2).to_sparse()), ValueError, "policy.pt", "plain"),
         refusal(lambda: weight(torch.zeros(2, 2, device="meta")), ValueError, "policy.pt"),
     )
+
+
+def test_files_keep_plain_options_and_name_objects(tmp_path, env, caplog):
+    plan, sat_args = MLPPlan.of(env, (8,)), {"panelArea": 0.3, "wheelSpeeds": (1.0, 2.0)}
+    options = {"sat_args": sat_args, "scenario": object(), "rewarder": {"part": object()}}
+    save_policy(tmp_path / "policy.pt", plan, plan.build(), "NadirScan-v1", options)
+    card = read_card(tmp_path)
+    assert (card["options"], card["objects"]) == ({"sat_args": sat_args}, ["rewarder", "scenario"])
+    for preset, given in (("mine.py:scanner", {}), ("NadirScan-v1", {"rewarder", "scenario"}), ("NadirScan-v1", {"rewarder"})):
+        warn_of_objects("runs/a", card, preset, given)
+    [message] = caplog.messages
+    assert "its own scenario," in message
 
 
 def test_policies_of_the_package_carry_checksums_and_no_logs(tmp_path, env):

@@ -20,7 +20,7 @@ from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, TRAINED, Comparison, compare, print_results, save_results
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
-from bsk_torch.rl.policies.files import LOGS, plain
+from bsk_torch.rl.policies.files import objects_in
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, check_setting, load_config, read_settings
 from bsk_torch.rl.training.imitation import OWN, enter_teacher
@@ -179,7 +179,7 @@ def told(run: Training, results: Mapping[str, Evaluation]) -> str:
     preset or parts of the environment.
     """
     config, folder = run.config, shlex.quote(str(run.out))
-    objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
+    objects = objects_in(config.options)
     own = re.fullmatch(r"(?!__main__:|own:)[^<>]+:[^<>]+", config.preset)
     if own and not objects:
         lines = f"results: {run.out}\nnext: bsk-torch report {folder} --preset {shlex.quote(config.preset)}"

@@ -52,6 +52,9 @@ LARGEST, MOST_PARTS = 2**20, 2**12
 TRAINING: dict[str, float] = {"decisions": 1e15, "core_seconds": 1e12, "tuning_runs": 1e9}
 """Entries of the optional ``training`` of a file, what the training has cost, with their largest values."""
 
+OBJECTS = "objects"
+"""Optional entry: names of the options of the training that are objects of a program, which files do not keep."""
+
 GROUPS = "groups"
 """Entry with a dictionary like :data:`NETWORK` for each of several groups, by name."""
 
@@ -75,6 +78,8 @@ def save_policy(
         training: What the training has cost, with the entries :data:`TRAINING`; None if unknown.
     """
     card = {"bsk_torch": __version__, "preset": preset, "options": plain(options)}
+    if lost := objects_in(options):
+        card[OBJECTS] = lost
     if training is not None:
         card["training"] = dict(training)
     if isinstance(plan, Mapping):
@@ -100,14 +105,21 @@ def networks_of(card: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def plain(options: Mapping[str, object]) -> dict[str, Any]:
-    """Return the options that are numbers, strings, or lists of these; not devices, back ends and logs."""
-    simple = (bool, int, float, str)
-    return {
-        name: value
-        for name, value in options.items()
-        if name not in (*MACHINE, *LOGS)
-        and (isinstance(value, simple) or (isinstance(value, list | tuple) and all(isinstance(v, simple) for v in value)))
-    }
+    """Return the options that are numbers, strings, or lists and dictionaries of these; not devices, back ends and logs."""
+    return {name: value for name, value in options.items() if name not in (*MACHINE, *LOGS) and _is_plain(value)}
+
+
+def objects_in(options: Mapping[str, object]) -> list[str]:
+    """Return the names of the options that files do not keep, because they are objects of a program."""
+    return sorted(options.keys() - plain(options).keys() - {*MACHINE, *LOGS})
+
+
+def _is_plain(value: object, levels: int = 4) -> bool:
+    if isinstance(value, Mapping):
+        return levels > 0 and all(isinstance(key, str) and _is_plain(part, levels - 1) for key, part in value.items())
+    if isinstance(value, list | tuple):
+        return levels > 0 and all(_is_plain(part, levels - 1) for part in value)
+    return isinstance(value, bool | int | float | str)
 
 
 def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str, Any]:
@@ -158,6 +170,9 @@ def _is_card(card: Mapping[str, object]) -> bool:
     ):
         return False
     if "training" in card and not _is_training(card["training"]):
+        return False
+    objects = card.get(OBJECTS, [])
+    if not isinstance(objects, list) or not all(isinstance(name, str) and name.isidentifier() for name in objects):
         return False
     if options.keys() - plain(options).keys() - set(LOGS) - {name for name in MACHINE if isinstance(options.get(name), str)}:
         return False  # options of other types than those written

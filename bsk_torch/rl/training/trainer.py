@@ -446,8 +446,14 @@ def check_resumable(out: Path) -> None:
 
 def fixed(config: PPOConfig) -> dict[str, object]:
     """Return the settings :data:`FIXED` of a configuration; of the options those that files keep."""
-    options = {name: tuple(value) if isinstance(value, list) else value for name, value in plain(config.options).items()}
-    return {name: getattr(config, name, None) for name in FIXED} | {"options": options}
+    return {name: getattr(config, name, None) for name in FIXED} | {"options": _as_tuples(plain(config.options))}
+
+
+def _as_tuples(value: Any) -> Any:
+    """Return the value with tuples for its lists, which files have in the place of tuples."""
+    if isinstance(value, Mapping):
+        return {name: _as_tuples(part) for name, part in value.items()}
+    return tuple(map(_as_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:

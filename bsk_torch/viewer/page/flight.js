@@ -23,8 +23,8 @@ export class Recording {
     return label === undefined ? "continuous control" : label.replace(/^action_/, "").replaceAll("_", " ");
   }
 
-  targetName(j) {
-    return `${{ points: "Point", orbit: "Object" }[this.places] ?? "Target"} ${j}`;
+  targetName(j, scene = this.scenes[0]) {
+    return scene?.targetNames[j] ?? `${{ points: "Point", orbit: "Object" }[this.places] ?? "Target"} ${j}`;
   }
 }
 
@@ -32,8 +32,9 @@ export class Recording {
 export class Scene {
   constructor(recording, index) {
     const own = (name) => recording.arrays[`s${index}/${name}`];
-    const { PN0, rate, station_names, points_of } = recording.header.scenes[index];
+    const { PN0, rate, station_names, points_of, target_names } = recording.header.scenes[index];
     Object.assign(this, { hasEarth: PN0.length > 0, PN0, rate, pointsOf: points_of, stationNames: station_names });
+    this.targetNames = target_names ?? [];
     this.stations = own("stations_P").data;
     this.targets = own("targets_P").data; // m, [T, 3], in P or in the frame of the inspected spacecraft
     this.count = own("targets_P").shape[0];
@@ -150,6 +151,8 @@ export class Track {
     const d = { mask: own("decision_mask"), probability: own("decision_probability") };
     d.actionValue = own("decision_action_value");
     d.control = own("decision_control");
+    d.targets = own("decision_action_target"); // of each action
+    d.opens = own("decision_action_opens"); // s, when the target's window opens
     for (const name of ["time", "end", "satellite", "action", "target", "reward"]) d[name] = own(`decision_${name}`).data;
     d.of = Array.from({ length: this.recording.satellites.length }, () => ({ times: [], indices: [] }));
     for (let k = 0; k < d.time.length; k++) {

@@ -369,7 +369,7 @@ class Viewer {
   /** What is known about a target in the shown flight. */
   #describe(target) {
     const { scene, events } = this.track;
-    const parts = [`${this.recording.targetName(target)}: priority ${scene.priority[target].toFixed(2)}`];
+    const parts = [`${this.recording.targetName(target, scene)}: priority ${scene.priority[target].toFixed(2)}`];
     if (scene.cloud) parts.push(`clouds ${(100 * scene.cloud[target]).toFixed(0)} %`);
     const words = ["imaged", "imaged without a reward", "delivered"];
     for (let k = 0; k < events.time.length; k++) {

@@ -68,7 +68,7 @@ export class Panels {
       const { action, target, end } = track.decisions;
       const label = recording.actionName(satellite, action[d]);
       const priority = track.scene.priority[target[d]];
-      const aim = target[d] >= 0 ? ` · ${recording.targetName(target[d])}${priority > 0 ? `, priority ${priority.toFixed(2)}` : ""}` : "";
+      const aim = target[d] >= 0 ? ` · ${recording.targetName(target[d], track.scene)}${priority > 0 ? `, priority ${priority.toFixed(2)}` : ""}` : "";
       const left = end[d] - time;
       const mark = make("span", { className: "mark square", style: { background: actionColor(label, action[d]) } });
       const rest = left > 0 && Number.isFinite(left) ? `${clock(left)} left` : "";
@@ -125,7 +125,7 @@ export class Panels {
       const label = state.recording.actionName(state.satellite, a);
       const allowed = mask[a] === 1;
       const chosen = a === decisions.action[d];
-      const cells = [make("td", {}, label)];
+      const cells = [make("td", {}, label, offer(state, d, a))];
       if (chances) cells.push(chanceCell(probability[a], allowed));
       if (flown) cells.push(make("td", { className: values[a] === best ? "best" : "" }, number(values[a])));
       if (state.live) cells.push(make("td", {}, allowed && !chosen ? this.#flyButton(state, d, a, label) : chosen ? "flown" : ""));
@@ -183,6 +183,19 @@ export class Panels {
       this.sums.append(make("p", {}, button));
     }
   }
+}
+
+/** The target of action `a` at decision `d`: its name, its priority, and the time until its window opens; null without one. */
+function offer({ recording, track }, d, a) {
+  const { targets, opens, time } = track.decisions;
+  const target = targets.shape[0] ? rowOf(targets, d)[a] : -1;
+  if (!(target >= 0)) return null;
+  const priority = track.scene.priority[target];
+  const wait = rowOf(opens, d)[a] - time[d];
+  const parts = [recording.targetName(target, track.scene)];
+  if (priority > 0) parts.push(`priority ${priority.toFixed(2)}`);
+  if (Number.isFinite(wait)) parts.push(wait > 0 ? `in ${clock(wait)}` : "now");
+  return make("small", {}, parts.join(", "));
 }
 
 function rowOf(array, d) {

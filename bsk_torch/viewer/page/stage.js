@@ -239,7 +239,7 @@ export class Stage {
     }
     if (state.target >= 0 && state.show.targets && this.recording.places !== "points") {
       const spot = this.project(this.targetPlace(layer, state.target), view);
-      if (spot.visible) labels.write(this.recording.targetName(state.target), spot.x, spot.y, { strong: true, color: "#F5EBC8", above: 0, edge });
+      if (spot.visible) labels.write(this.recording.targetName(state.target, state.track.scene), spot.x, spot.y, { strong: true, color: "#F5EBC8", above: 0, edge });
     }
     if (this.views.length > 1) labels.write(shorten(view.track.label, 40), view.x + 2, view.y + 56, { strong: true, above: 0 });
     ghosts.forEach((ghost, k) => {
