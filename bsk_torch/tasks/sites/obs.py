@@ -11,7 +11,7 @@ from torch import Tensor
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.tasks.sites.scene import BEGUN, NOT_BEGUN, Sites
-from bsk_torch.tasks.sites.worth import Commitment, worth
+from bsk_torch.tasks.sites.worth import COORDINATED, Commitment, worth
 
 BITS = 8
 """Numbers of the code of a site."""
@@ -95,7 +95,10 @@ def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tens
         "opportunity_open": images.open - now,
         "opportunity_close": images.close - now,
     }
-    worths = worth(values.__getitem__, Commitment())
+    team = satellite.fleet.size > 1
+    if team:
+        values |= shares(satellite, images)._asdict()
+    worths = worth(values.__getitem__, COORDINATED if team else Commitment(), team)
     return (worths / worths.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
 
 
@@ -111,6 +114,75 @@ def site_code(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     return ((hashed.unsqueeze(-1) >> bits) & 1).double() * 2.0 - 1.0
 
 
+class Shares(NamedTuple):
+    """What is known of n images where several satellites take images of the same sites, [N, n] each.
+
+    Attributes:
+        claimed: Number of other satellites that are about to take the image.
+        site_claims: Number of other satellites that are about to take an image of its site.
+        later: Time until the last window of the image over another satellite closes, s; 0 without one.
+        team_left: Images of the site that some satellite can still take.
+        team_chance: Probability that all of them are clear.
+        team_finish: What they pay if all are clear.
+        team_close: Time until the last window of these images closes, s.
+    """
+
+    claimed: Tensor
+    site_claims: Tensor
+    later: Tensor
+    team_left: Tensor
+    team_chance: Tensor
+    team_finish: Tensor
+    team_close: Tensor
+
+
+def shares(satellite: BoundAccessSatellite, images: Opportunities) -> Shares:
+    """Return what is known of the observed images in a team, computed once for a state; satellites are of one type."""
+    scenario: Sites = satellite.scenario
+    key: Hashable = ("shares", satellite.type_index)
+    draws = satellite.fleet.scenario_state.version
+    return scenario.memo.once(key, satellite.fleet, lambda: _shares(satellite, scenario, images.place), (draws,))
+
+
+def _shares(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> Shares:
+    fleet, of_env, look_up = satellite.fleet, satellite.of_env, satellite.simulator.look_up
+    following = satellite.find_next_opportunities(NEXT, "target")
+    never = torch.full((len(image), scenario.most_targets + 1), -torch.inf, dtype=torch.float64, device=image.device)
+    place = torch.where(following.mask, following.place, scenario.most_targets)
+    closes = fleet.each(lambda _: never.scatter(1, place, following.close)[:, :-1])  # [N, S, T]
+    last = closes.amax(1)
+    number = torch.arange(fleet.size, device=image.device)
+    by_each = of_env(closes).gather(2, image.unsqueeze(1).expand(-1, fleet.size, -1))
+    mine = satellite.rows_of(number.expand(fleet.num_envs, -1)).unsqueeze(1) == number
+    later = torch.where(mine.unsqueeze(2), -torch.inf, by_each).amax(1)
+    task = satellite.task
+    aim = fleet.each(lambda _: torch.where(task.requires_retasking | task.dead, -scenario.most, satellite.latest_target))
+    aims = torch.where(mine, -scenario.most, of_env(aim)).unsqueeze(1)
+    site = image // scenario.most
+    now = of_env(fleet.sim_time).unsqueeze(1)
+    can = (last > -torch.inf).unflatten(1, (-1, scenario.most))
+    clear = (1.0 - scenario.drawn("image_risk")).unflatten(1, (-1, scenario.most))
+    left = can.double().sum(2)
+    size, done = scenario.drawn("site_size"), scenario.done
+    pays = scenario.gain((done + left) / size) - scenario.gain(done / size)
+    return Shares(
+        claimed=(aims == image.unsqueeze(2)).double().sum(2),
+        site_claims=(aims // scenario.most == site.unsqueeze(2)).double().sum(2),
+        later=(later - now).clamp(min=0.0),
+        team_left=look_up(left, site),
+        team_chance=look_up(torch.where(can, clear, 1.0).prod(2), site),
+        team_finish=look_up(scenario.priority, image) * look_up(size * pays, site),
+        team_close=(look_up(last.unflatten(1, (-1, scenario.most)).amax(2), site) - now).clamp(min=0.0),
+    )
+
+
+def _share(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tensor]:
+    def read(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+        return getattr(shares(satellite, images), name)
+
+    return read
+
+
 SITE = (
     dict(fn=_prospect("size"), prop="site_size", norm=6.0),
     dict(fn=_prospect("done"), prop="site_done", norm=6.0),
@@ -124,3 +196,14 @@ SITE = (
     dict(fn=site_code, prop="site_code"),
 )
 """Observed properties of each image, in addition to its place, turn and window."""
+
+TEAM = (
+    dict(fn=_share("claimed"), prop="claimed"),
+    dict(fn=_share("site_claims"), prop="site_claims"),
+    dict(fn=_share("later"), prop="later", norm=300.0),
+    dict(fn=_share("team_left"), prop="team_left", norm=6.0),
+    dict(fn=_share("team_chance"), prop="team_chance"),
+    dict(fn=_share("team_finish"), prop="team_finish", norm=6.0),
+    dict(fn=_share("team_close"), prop="team_close", norm=300.0),
+)
+"""Observed properties of each image in a team, in addition."""

@@ -49,7 +49,7 @@ import torch
 from bsk_torch import formations, obs, rand
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, AgileSatellite, agile_args, agile_environment, targets_ahead
-from bsk_torch.tasks.sites.obs import SITE
+from bsk_torch.tasks.sites.obs import SITE, TEAM
 from bsk_torch.tasks.sites.reward import CompletionReward
 from bsk_torch.tasks.sites.scene import Sites
 
@@ -75,6 +75,18 @@ class SitesSetSatellite(SitesSatellite):
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, as_set=True), obs.Time())
 
 
+class TeamSatellite(SitesSatellite):
+    """Observes also what other satellites do, and can do."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, *TEAM), obs.Time())
+
+
+class TeamSetSatellite(TeamSatellite):
+    """The same, with images as a set."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, *TEAM, as_set=True), obs.Time())
+
+
 def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> SatelliteTasking:
     """Return Sites-v1; see the module.
 
@@ -98,7 +110,8 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellites.
     """
-    kind = SitesSetSatellite if as_set else SitesSatellite
+    alone, team = (SitesSatellite, SitesSetSatellite), (TeamSatellite, TeamSetSatellite)
+    kind = (team if n_satellites > 1 else alone)[as_set]
     arguments = {name: value for name, value in agile_args().items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]

@@ -23,6 +23,7 @@ class Commitment(NamedTuple):
         slew: Time for a turn of one radian, s; it grows with the square root of the angle.
         alone: Weight of what an image pays without the others.
         nerve: Exponent of the probability that all images are clear: 0 for one who does not look at the forecast.
+        yielding: Part of its worth that a site loses while another satellite is about to take an image of it.
     """
 
     patience: Number = 86.0
@@ -32,9 +33,14 @@ class Commitment(NamedTuple):
     slew: Number = 45.0
     alone: Number = 0.77
     nerve: Number = 0.5
+    yielding: Number = 0.0
 
 
-def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
+COORDINATED = Commitment(patience=60.0, yielding=0.8)
+"""Numbers for teams."""
+
+
+def worth(read: Callable[[str], Tensor], numbers: Commitment, team: bool = False) -> Tensor:
     """Return what images are worth, [N, n]; those that are out of reach have less than -1.
 
     With the time t until an image of a site is taken and n images that are left, it is::
@@ -42,11 +48,13 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
         finish * chance^nerve * (1 + loyalty * done / size) * exp(-(t + (n - 1) * each) / patience)
 
     if ``t + (n - 1) * each`` is less than the time until the window closes plus ``slack``; and further
-    ``alone * step * (1 - risk) * exp(-t / patience)``.
+    ``alone * step * (1 - risk) * exp(-t / patience)``. In a team, images that another satellite is about to take are worth
+    nothing, and the first term is multiplied by ``1 - yielding`` for the others of their site.
 
     Args:
         read: Function from the name of an observed property to its values, [N, n].
         numbers: The numbers.
+        team: Whether it is known what other satellites are about to take.
     """
     taken = torch.maximum(read("opportunity_open"), numbers.slew * read("target_angle").clamp(min=0.0).sqrt())
     closes = read("opportunity_close")
@@ -54,4 +62,8 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
     nearly = 1.0 + numbers.loyalty * read("site_done") / read("site_size").clamp(min=1.0)
     whole = read("site_finish") * read("site_chance") ** numbers.nerve * nearly * torch.exp(-last / numbers.patience)
     step = numbers.alone * read("site_step") * (1.0 - read("risk")) * torch.exp(-taken / numbers.patience)
-    return torch.where(taken < closes, torch.where(last < closes + numbers.slack, whole, 0.0) + step, -1.0 - 1e-6 * taken)
+    if team:
+        whole = whole * (1.0 - numbers.yielding * read("site_claims").clamp(max=1.0))
+    worths = torch.where(last < closes + numbers.slack, whole, 0.0) + step
+    free = worths if not team else worths * (read("claimed") <= 0.0)
+    return torch.where(taken < closes, free, -1.0 - 1e-6 * taken)
