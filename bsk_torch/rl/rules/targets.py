@@ -15,7 +15,7 @@ from bsk_torch.obs import OpportunityProperties
 from bsk_torch.obs.candidates import CandidateProperties
 from bsk_torch.sim.arguments.values import nearest
 
-WIDTHS = {"site_code": 8, "r_LP_P": 3, "r_LB_H": 3, "rel_pos_vector_r_BR_H": 3, "rel_vel_vector_v_BR_H": 3}
+WIDTHS = {"site_code": 8, "site_others": 3, "r_LP_P": 3, "r_LB_H": 3, "rel_pos_vector_r_BR_H": 3, "rel_vel_vector_v_BR_H": 3}
 """Number of columns of target properties with more than one."""
 
 Observation = Any

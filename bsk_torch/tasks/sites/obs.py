@@ -20,6 +20,10 @@ NEXT = 64
 """Images among which the others of a site are looked for: the 32 observed ones, and those that close within a minute or more."""
 
 
+SLEW, EACH = 45.0, 21.4
+"""Time for a turn of one radian, which grows with the square root of the angle, and for each further image of a site, s."""
+
+
 class Prospects(NamedTuple):
     """What is known of the sites of n images, [N, n] each.
 
@@ -32,6 +36,8 @@ class Prospects(NamedTuple):
         chance: Probability that all images that are left are clear.
         step: What the image pays if it is clear and the next one of its site.
         finish: What the images that are left pay if all are clear.
+        margin: Time by which the others that are left are in time if this image is next, at least, s.
+        others: Mean place of the images that are left relative to this one, in the Hill frame, m, [N, n, 3].
     """
 
     size: Tensor
@@ -42,6 +48,8 @@ class Prospects(NamedTuple):
     chance: Tensor
     step: Tensor
     finish: Tensor
+    margin: Tensor
+    others: Tensor
 
 
 def prospects(satellite: BoundAccessSatellite, images: Opportunities) -> Prospects:
@@ -52,11 +60,11 @@ def prospects(satellite: BoundAccessSatellite, images: Opportunities) -> Prospec
     scenario: Sites = satellite.scenario
     key: Hashable = ("prospects", satellite.type_index)
     draws = satellite.fleet.scenario_state.version
-    return scenario.memo.once(key, satellite.fleet, lambda: _prospects(satellite, scenario, images.place), (draws,))
+    return scenario.memo.once(key, satellite.fleet, lambda: _prospects(satellite, scenario, images), (draws,))
 
 
-def _prospects(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> Prospects:
-    look_up = satellite.simulator.look_up
+def _prospects(satellite: BoundAccessSatellite, scenario: Sites, images: Opportunities) -> Prospects:
+    look_up, image = satellite.simulator.look_up, images.place
     site = image // scenario.most
     following = satellite.find_next_opportunities(NEXT, "target")
     same = (site.unsqueeze(2) == (following.place // scenario.most).unsqueeze(1)) & following.mask.unsqueeze(1)
@@ -67,6 +75,10 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) 
     whole = look_up(scenario.priority, image) * size
     begun = look_up(scenario.memory[BEGUN], site)
     now = satellite.simulator.of_env(satellite.fleet.sim_time).unsqueeze(1)
+    taken = torch.maximum(images.open, now + SLEW * satellite.aims(images, None)[..., 3].sqrt())
+    further = same & (image.unsqueeze(2) != following.place.unsqueeze(1))
+    latest = torch.where(further, following.close.unsqueeze(1) - EACH * further.cumsum(2), torch.inf).amin(2)
+    r_LB_H, r_FB_H = satellite.aims(images, None)[..., :3], satellite.aims(following, None)[..., :3]
     return Prospects(
         size=size,
         done=done,
@@ -76,6 +88,8 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) 
         chance=torch.where(same, clear.unsqueeze(1), 1.0).prod(2),
         step=whole * (scenario.gain((done + 1.0) / size) - paid),
         finish=whole * (scenario.gain((done + left) / size) - paid),
+        margin=torch.minimum(latest, images.close) - taken,
+        others=same.double() @ r_FB_H / left.clamp(min=1.0).unsqueeze(2) - r_LB_H,
     )
 
 
@@ -89,7 +103,7 @@ def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tens
 def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     """Return what each image is worth to the rule *commit*, divided by that of the best, [N, n]; -1 for those out of reach."""
     now, outlook = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
-    values = {f"site_{name}": value for name, value in outlook._asdict().items()} | {
+    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | {
         "risk": outlook.risk,
         "target_angle": satellite.aims(images, None)[..., 3],
         "opportunity_open": images.open - now,
@@ -192,6 +206,8 @@ SITE = (
     dict(fn=_prospect("chance"), prop="site_chance"),
     dict(fn=_prospect("step"), prop="site_step", norm=6.0),
     dict(fn=_prospect("finish"), prop="site_finish", norm=6.0),
+    dict(fn=_prospect("margin"), prop="site_margin", norm=300.0),
+    dict(fn=_prospect("others"), prop="site_others", norm=100e3),
     dict(fn=commit_worth, prop="commit_worth"),
     dict(fn=site_code, prop="site_code"),
 )

@@ -7,7 +7,7 @@ so that it matters which sites to begin, which to leave, and in which order to t
 In SitesTeam-v1, two satellites fly one behind the other, 4 degrees apart, over the same sites. Images of both count together, and
 each knows at once what the other has taken.
 
-Observation, 12 + 32 * 25 + 1 = 813 numbers: satellite and time as in AEOS-v1, and of each of the next 32 images, in order of
+Observation, 12 + 32 * 29 + 1 = 941 numbers: satellite and time as in AEOS-v1, and of each of the next 32 images, in order of
 closing time:
 
 ============================  ==================================================================================
@@ -22,11 +22,14 @@ closing time:
 ``site_chance``               probability that all images that are left are clear
 ``site_step_normd``           what the image pays if it is clear and the next one of its site, divided by 6
 ``site_finish_normd``         what all images that are left pay if they are clear, divided by 6
+``site_margin_normd``         least time by which it and the others that are left are in time, if it is next and each
+                              further one takes 21.4 s, divided by 300 s
+``site_others_normd`` (3)     mean place of the images that are left, relative to it, in the Hill frame, divided by 100 km
 ``commit_worth``              what it is worth to the rule *commit*, divided by that of the best; -1 out of reach
 ``site_code`` (8)             a code of the number of the site, of -1 and 1
 ============================  ==================================================================================
 
-With ``as_set=True``, they are ``rows`` [N, 32, 25] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
+With ``as_set=True``, they are ``rows`` [N, 32, 29] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
 been taken are clear.
 
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.

@@ -49,14 +49,15 @@ class CommitRule:
         patience: Number = DEFAULTS.patience,
         loyalty: Number = DEFAULTS.loyalty,
         each: Number = DEFAULTS.each,
-        slack: Number = DEFAULTS.slack,
+        reserve: Number = DEFAULTS.reserve,
+        doubt: Number = DEFAULTS.doubt,
         slew: Number = DEFAULTS.slew,
         alone: Number = DEFAULTS.alone,
         nerve: Number = DEFAULTS.nerve,
         yielding: Number = DEFAULTS.yielding,
     ) -> Tensor:
         """Return actions, [N], for an observation and the legal actions [N, A]; the numbers are those of :class:`Commitment`."""
-        settings = (patience, loyalty, each, slack, slew, alone, nerve, yielding)
+        settings = (patience, loyalty, each, reserve, doubt, slew, alone, nerve, yielding)
         numbers = Commitment(
             *(torch.as_tensor(value, dtype=torch.float32, device=action_mask.device).reshape(-1, 1) for value in settings)
         )

@@ -13,31 +13,33 @@ Number = Tensor | float
 
 
 class Commitment(NamedTuple):
-    """Numbers of :func:`worth`. The defaults are the best of 128 settings in 6,272 episodes of Sites-v1, rounded.
+    """Numbers of :func:`worth`. The defaults are the best of 128 settings in 6,400 episodes of Sites-v1, rounded.
 
     Attributes:
         patience: Time that divides the value of what is finished later by e, s.
         loyalty: Additional value of a site as it approaches completion.
         each: Time for each further image of a site, s.
-        slack: Time by which the last image may be estimated to be late, s.
+        reserve: Margin with which a site is completed in every other case, s.
+        doubt: How slowly confidence in completing a site grows with the margin, s.
         slew: Time for a turn of one radian, s; it grows with the square root of the angle.
         alone: Weight of what an image pays without the others.
         nerve: Exponent of the probability that all images are clear: 0 for one who does not look at the forecast.
         yielding: Part of its worth that a site loses while another satellite is about to take an image of it.
     """
 
-    patience: Number = 86.0
-    loyalty: Number = 5.0
-    each: Number = 21.4
-    slack: Number = 63.0
-    slew: Number = 45.0
-    alone: Number = 0.77
-    nerve: Number = 0.5
+    patience: Number = 52.8
+    loyalty: Number = 2.4
+    each: Number = 6.8
+    reserve: Number = -6.3
+    doubt: Number = 13.4
+    slew: Number = 56.9
+    alone: Number = 0.15
+    nerve: Number = 0.6
     yielding: Number = 0.0
 
 
-COORDINATED = Commitment(patience=39.0, loyalty=5.2, each=11.0, slack=47.0, slew=43.6, alone=0.93, nerve=0.4, yielding=0.56)
-"""The best of 64 settings for SitesTeam-v1 in 3,328 episodes, rounded."""
+COORDINATED = Commitment(40.0, 2.4, 6.8, -6.3, 13.4, 56.9, 0.15, 0.6, yielding=0.8)
+"""Numbers for SitesTeam-v1."""
 
 
 def worth(read: Callable[[str], Tensor], numbers: Commitment, team: bool = False) -> Tensor:
@@ -46,10 +48,10 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment, team: bool = False
     With the time t until an image of a site is taken and n images that are left, it is::
 
         finish * chance^nerve * (1 + loyalty * done / size) * exp(-(t + (n - 1) * each) / patience)
+            * sigmoid((margin - reserve) / doubt)
 
-    if ``t + (n - 1) * each`` is less than the time until the window closes plus ``slack``; and further
-    ``alone * step * (1 - risk) * exp(-t / patience)``. In a team, images that another satellite is about to take are worth
-    nothing, and the first term is multiplied by ``1 - yielding`` for the others of their site.
+    and further ``alone * step * (1 - risk) * exp(-t / patience)``. In a team, images that another satellite is about to take are
+    worth nothing, and the first term is multiplied by ``1 - yielding`` for the others of their site.
 
     Args:
         read: Function from the name of an observed property to its values, [N, n].
@@ -60,10 +62,10 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment, team: bool = False
     closes = read("opportunity_close")
     last = taken + (read("site_left") - 1.0).clamp(min=0.0) * numbers.each
     nearly = 1.0 + numbers.loyalty * read("site_done") / read("site_size").clamp(min=1.0)
-    whole = read("site_finish") * read("site_chance") ** numbers.nerve * nearly * torch.exp(-last / numbers.patience)
+    in_time = torch.sigmoid((read("site_margin") - numbers.reserve) / numbers.doubt)
+    whole = read("site_finish") * read("site_chance") ** numbers.nerve * nearly * in_time * torch.exp(-last / numbers.patience)
     step = numbers.alone * read("site_step") * (1.0 - read("risk")) * torch.exp(-taken / numbers.patience)
     if team:
         whole = whole * (1.0 - numbers.yielding * read("site_claims").clamp(max=1.0))
-    worths = torch.where(last < closes + numbers.slack, whole, 0.0) + step
-    free = worths if not team else worths * (read("claimed") <= 0.0)
-    return torch.where(taken < closes, free, -1.0 - 1e-6 * taken)
+    worths = whole + step if not team else (whole + step) * (read("claimed") <= 0.0)
+    return torch.where(taken < closes, worths, -1.0 - 1e-6 * taken)

@@ -221,6 +221,25 @@ def test_images_left_are_those_with_windows_to_come():
     assert torch.equal(see["site_left"], counted)
 
 
+def test_margins_and_places_of_the_others_that_are_left():
+    """By hand, image by image: the k-th of the others to close must be taken k times 21.4 s after this one."""
+    env = make(num_envs=2)
+    td, _ = play(env, 20)
+    reader, satellite = TargetReader.of(env), env.satellite
+    margin, others = reader.read(td["observation"], "site_margin"), reader.read_vector(td["observation"], "site_others")
+    near, far = satellite.find_next_opportunities(32, "target"), satellite.find_next_opportunities(64, "target")
+    aims, places = satellite.aims(near, None), satellite.aims(far, None)[..., :3]
+    for n in range(2):
+        now, windows = float(env.fleet.sim_time[n]), list(zip(far.place[n].tolist(), far.close[n].tolist(), strict=True))
+        for i, place in enumerate(near.place[n].tolist()):
+            taken = max(float(near.open[n, i]), now + 45.0 * float(aims[n, i, 3]) ** 0.5)
+            left = [k for k, (other, _) in enumerate(windows) if other // 6 == place // 6]
+            closes = [windows[k][1] for k in left if windows[k][0] != place]
+            latest = min([float(near.close[n, i]), *(close - 21.4 * (k + 1) for k, close in enumerate(closes))])
+            assert margin[n, i] == pytest.approx(latest - taken, abs=1e-3)
+            torch.testing.assert_close(others[n, i].double(), places[n, left].mean(0) - aims[n, i, :3], rtol=1e-5, atol=0.1)
+
+
 def test_the_rule_finishes_more_sites_than_rules_that_rank_images():
     found = {}
     for name in ("commit", "hasty", "random"):
@@ -239,7 +258,7 @@ def test_teams_know_all_images():
     for _ in range(25):
         td = env.step(rule(td))["next"]
         total += td["agents", "reward"].sum((1, 2))
-    assert td["agents", "observation"].shape == (2, 2, 1037)
+    assert td["agents", "observation"].shape == (2, 2, 1165)
     images = env.satellites[0].find_next_opportunities(32, "target")
     assert not env.scenario.shot.repeat_interleave(2, 0).gather(1, images.place)[images.mask].any()
     size, done = env.scenario.drawn("site_size"), env.scenario.done
