@@ -36,7 +36,7 @@ from bsk_torch.tasks.sites.rules import CommitRule, commit
 FIRST = 7_500_000
 """First seed of the episodes in which entrants are compared."""
 
-TUNED, PLANNER = "commit, tuned", "rollout"
+TUNED, ALONE, PLANNER = "commit, tuned", "commit, uncoordinated", "rollout"
 
 RULES = ("random", "nearest", "greedy", "hasty", "farsighted", "commit")
 
@@ -51,6 +51,9 @@ RANGES = {
     "nerve": (0.0, 3.0),
 }
 """Numbers of the rule that are tuned, and between which."""
+
+SHARED = {"yielding": (0.0, 1.2)}
+"""The same in teams only."""
 
 GAMMA, TRIED = 0.995, 8
 """Discount of planners per second, and actions that they try."""
@@ -135,9 +138,10 @@ def main() -> None:
         "seeds": [options.first, options.first + options.episodes],
         "tuning": before.get("tuning", {}),
     }
+    team = CommitRule.of(member_view(env)).team
     if options.settings:
-        rule = CommitRule.of(member_view(env)).decide
-        tuning = bsk_torch.tune(rule, env, RANGES, settings=options.settings)
+        rule, ranges = commit(member_view(env)).module, RANGES | (SHARED if team else {})
+        tuning = bsk_torch.tune(rule, env, ranges, settings=options.settings)
         results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
         print(tuning, flush=True)
     numbers = results["tuning"].get("thresholds", {})
@@ -161,6 +165,8 @@ def main() -> None:
     for name in RULES if options.settings or not table else ():
         enter(name, bsk_torch.rule(name, env), env)
     enter(TUNED, tuned_rule(env), env)
+    if team:
+        enter(ALONE, shared(commit(member_view(env), coordinated=False), env), env)
     for folder in options.runs:
         where = environment(options, options.episodes, as_set=True)
         enter(f"policy {folder.name}", bsk_torch.load_policy(folder, where), where)

@@ -213,6 +213,7 @@ SITE = (
 )
 """Observed properties of each image, in addition to its place, turn and window."""
 
+
 TEAM = (
     dict(fn=_share("claimed"), prop="claimed"),
     dict(fn=_share("site_claims"), prop="site_claims"),

@@ -32,10 +32,23 @@ closing time:
 With ``as_set=True``, they are ``rows`` [N, 32, 29] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
 been taken are clear.
 
+Satellites of a team observe 12 + 32 * 36 + 1 = 1,165 numbers, and in ``rows`` 36, with what the others do and can do:
+
+============================  ==================================================================================
+``claimed``                   number of other satellites that are about to take the image
+``site_claims``               number of other satellites that are about to take an image of its site
+``later_normd``               time until the last window of the image over another satellite closes, divided by
+                              300 s; 0 without one
+``team_left_normd``           images of its site that some satellite can still take, divided by 6
+``team_chance``               probability that all of them are clear
+``team_finish_normd``         what they pay if they are clear, divided by 6
+``team_close_normd``          time until the last of their windows closes, divided by 300 s
+============================  ==================================================================================
+
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
 
 Reward: value times size of the site for the image that completes it; with ``scenario=Sites(300, gain="convex")``, what each clear
-image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. Images of a site can be chosen for 300 s after its first one.
+image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. The satellites of a team get equal parts. Images of a site can be chosen for 300 s after its first one.
 
 Termination: at the time limit of 2,850 s.
 
@@ -107,7 +120,7 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
     """Return SitesTeam-v1; see the module, and :func:`sites`.
 
     Args:
-        n_satellites: Number of satellites, one behind the other.
+        n_satellites: Number of satellites, one behind the other; a single one observes what that of Sites-v1 does.
         as_set: See :func:`sites`.
         n_sites: See :func:`sites`.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset, and ``obs_type`` and

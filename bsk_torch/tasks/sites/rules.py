@@ -66,16 +66,16 @@ class CommitRule:
         return self.images.start + values.masked_fill(~legal, -torch.inf).argmax(1)
 
 
-def commit(env: SatelliteTasking, seed: int = 0, *, alone: bool = False, **numbers: Number) -> TensorDictModule:
+def commit(env: SatelliteTasking, seed: int = 0, *, coordinated: bool = True, **numbers: Number) -> TensorDictModule:
     """Return a :class:`CommitRule` for an environment that observes sites; else KeyError or ValueError.
 
     Args:
         env: The environment.
         seed: Not used.
-        alone: Whether to ignore what other satellites are about to take.
+        coordinated: Whether to leave what other satellites are about to take to them, in a team.
         **numbers: Numbers of :class:`Commitment` that replace the defaults, :data:`COORDINATED` in a team.
     """
     rule = CommitRule.of(env)
-    rule = replace(rule, team=rule.team and not alone)
+    rule = replace(rule, team=rule.team and coordinated)
     decide = partial(rule.decide, **((COORDINATED if rule.team else DEFAULTS)._asdict() | numbers))
     return TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])

@@ -299,7 +299,7 @@ def test_teams_observe_what_others_can_take_and_are_about_to():
 def test_coordinated_rules_leave_images_to_others():
     env = make("SitesTeam-v1", num_envs=8, seed=3)
     view, td, rule = member_view(env), env.reset(), bsk_torch.rule("commit", env)
-    reader, alone = TargetReader.of(view), shared(commit(view, alone=True), env)
+    reader, alone = TargetReader.of(view), shared(commit(view, coordinated=False), env)
     doubled = [0, 0]
     for _ in range(25):
         td = env.step(rule(td))["next"]
