@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.tasks.sites.scene import BEGUN, NOT_BEGUN, Sites
 from bsk_torch.tasks.sites.worth import COORDINATED, Commitment, worth
@@ -151,27 +152,36 @@ class Shares(NamedTuple):
 
 
 def shares(satellite: BoundAccessSatellite, images: Opportunities) -> Shares:
-    """Return what is known of the observed images in a team, computed once for a state; satellites are of one type."""
+    """Return what is known of the observed images in a team, computed once for a state."""
     scenario: Sites = satellite.scenario
     key: Hashable = ("shares", satellite.type_index)
     draws = satellite.fleet.scenario_state.version
     return scenario.memo.once(key, satellite.fleet, lambda: _shares(satellite, scenario, images.place), (draws,))
 
 
+def _last_closing(satellite: BoundAccessSatellite) -> Tensor:
+    """Return when the last window over each image among the next :data:`NEXT` closes, [N, T] s; minus infinity without one."""
+    most, following = satellite.scenario.most_targets, satellite.find_next_opportunities(NEXT, "target")
+    place = torch.where(following.mask, following.place, most)
+    never = torch.full((len(place), most + 1), -torch.inf, dtype=torch.float64, device=place.device)
+    return never.scatter_reduce(1, place, following.close, "amax")[:, :-1]
+
+
+def _aim(satellite: BoundImagingSatellite) -> Tensor:
+    """Return the image that each satellite is about to take, [N]; negative without one."""
+    free = satellite.task.requires_retasking | satellite.task.dead
+    return torch.where(free, -1, satellite.latest_target)
+
+
 def _shares(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> Shares:
     fleet, of_env, look_up = satellite.fleet, satellite.of_env, satellite.simulator.look_up
-    following = satellite.find_next_opportunities(NEXT, "target")
-    never = torch.full((len(image), scenario.most_targets + 1), -torch.inf, dtype=torch.float64, device=image.device)
-    place = torch.where(following.mask, following.place, scenario.most_targets)
-    closes = fleet.each(lambda _: never.scatter(1, place, following.close)[:, :-1])  # [N, S, T]
+    closes = fleet.each(_last_closing)
     last = closes.amax(1)
     number = torch.arange(fleet.size, device=image.device)
     by_each = of_env(closes).gather(2, image.unsqueeze(1).expand(-1, fleet.size, -1))
     mine = satellite.rows_of(number.expand(fleet.num_envs, -1)).unsqueeze(1) == number
     later = torch.where(mine.unsqueeze(2), -torch.inf, by_each).amax(1)
-    task = satellite.task
-    aim = fleet.each(lambda _: torch.where(task.requires_retasking | task.dead, -scenario.most, satellite.latest_target))
-    aims = torch.where(mine, -scenario.most, of_env(aim)).unsqueeze(1)
+    aims = torch.where(mine, -1, of_env(fleet.each(_aim))).unsqueeze(1)
     site = image // scenario.most
     now = of_env(fleet.sim_time).unsqueeze(1)
     can = (last > -torch.inf).unflatten(1, (-1, scenario.most))
@@ -212,7 +222,6 @@ SITE = (
     dict(fn=site_code, prop="site_code"),
 )
 """Observed properties of each image, in addition to its place, turn and window."""
-
 
 TEAM = (
     dict(fn=_share("claimed"), prop="claimed"),

@@ -48,7 +48,8 @@ Satellites of a team observe 12 + 32 * 36 + 1 = 1,165 numbers, and in ``rows`` 3
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
 
 Reward: value times size of the site for the image that completes it; with ``scenario=Sites(300, gain="convex")``, what each clear
-image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. The satellites of a team get equal parts. Images of a site can be chosen for 300 s after its first one.
+image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. The satellites of a team get equal parts, whoever took the image.
+Images of a site can be chosen for 300 s after its first one.
 
 Termination: at the time limit of 2,850 s.
 

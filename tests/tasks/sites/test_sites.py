@@ -274,7 +274,10 @@ def test_teams_observe_what_others_can_take_and_are_about_to():
         td = env.step(rule(td))["next"]
     satellite, reader = env.satellites[0], TargetReader.of(member_view(env))
     ahead, task = satellite.find_next_opportunities(64, "target"), satellite.task
-    windows = [dict(zip(ahead.place[k, :n].tolist(), ahead.close[k, :n].tolist())) for k, n in enumerate(ahead.found.tolist())]
+    windows = [
+        dict(list(zip(places, closes, strict=True))[:n])
+        for places, closes, n in zip(ahead.place.tolist(), ahead.close.tolist(), ahead.found.tolist(), strict=True)
+    ]
     aims = [None if free else int(aim) for free, aim in zip(task.requires_retasking, satellite.latest_target, strict=True)]
     risk, now = env.scenario.drawn("image_risk"), env.fleet.sim_time.tolist()
     for row in range(6):
