@@ -21,7 +21,7 @@ NEXT = 64
 """Images among which the others of a site are looked for: the 32 observed ones, and those that close within a minute or more."""
 
 
-SLEW, EACH = 45.0, 21.4
+SLEW, EACH = 60.0, 21.4
 """Time for a turn of one radian, which grows with the square root of the angle, and for each further image of a site, s."""
 
 
@@ -76,7 +76,7 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, images: Opportu
     whole = look_up(scenario.priority, image) * size
     begun = look_up(scenario.memory[BEGUN], site)
     now = satellite.simulator.of_env(satellite.fleet.sim_time).unsqueeze(1)
-    taken = torch.maximum(images.open, now + SLEW * satellite.aims(images, None)[..., 3].sqrt())
+    taken = torch.maximum(images.open, now + getattr(satellite, "slew", SLEW) * satellite.aims(images, None)[..., 3].sqrt())
     further = same & (image.unsqueeze(2) != following.place.unsqueeze(1))
     latest = torch.where(further, following.close.unsqueeze(1) - EACH * further.cumsum(2), torch.inf).amin(2)
     r_LB_H, r_FB_H = satellite.aims(images, None)[..., :3], satellite.aims(following, None)[..., :3]
@@ -103,17 +103,24 @@ def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tens
 
 def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     """Return what each image is worth to the rule *commit*, divided by that of the best, [N, n]; -1 for those out of reach."""
+    return _part_of_best(satellite, images, {}, Commitment())
+
+
+def team_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    """Return the same in a team, where the rule leaves images to others."""
+    return _part_of_best(satellite, images, shares(satellite, images)._asdict(), COORDINATED)
+
+
+def _part_of_best(satellite: BoundAccessSatellite, images: Opportunities, team: dict[str, Tensor], numbers: Commitment) -> Tensor:
     now, outlook = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
-    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | {
+    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | team
+    values |= {
         "risk": outlook.risk,
         "target_angle": satellite.aims(images, None)[..., 3],
         "opportunity_open": images.open - now,
         "opportunity_close": images.close - now,
     }
-    team = satellite.fleet.size > 1
-    if team:
-        values |= shares(satellite, images)._asdict()
-    worths = worth(values.__getitem__, COORDINATED if team else Commitment(), team)
+    worths = worth(values.__getitem__, numbers, bool(team))
     return (worths / worths.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
 
 
@@ -224,6 +231,7 @@ SITE = (
 """Observed properties of each image, in addition to its place, turn and window."""
 
 TEAM = (
+    *(entry | dict(fn=team_worth) if entry["prop"] == "commit_worth" else entry for entry in SITE),
     dict(fn=_share("claimed"), prop="claimed"),
     dict(fn=_share("site_claims"), prop="site_claims"),
     dict(fn=_share("later"), prop="later", norm=300.0),
@@ -232,4 +240,4 @@ TEAM = (
     dict(fn=_share("team_finish"), prop="team_finish", norm=6.0),
     dict(fn=_share("team_close"), prop="team_close", norm=300.0),
 )
-"""Observed properties of each image in a team, in addition."""
+"""The same in a team."""

@@ -1,11 +1,12 @@
 """Sites-v1 and SitesTeam-v1: mosaics of 3 to 6 images that pay when they are complete, under weather with a forecast.
 
-The agile satellite of :mod:`bsk_torch.presets.aeos`, which time limits, not power or storage, flies half an orbit at 5 degrees
-inclination over 300 sites within 9 degrees of the equator. Several sites are in view at once, with more images than can be taken,
-so that it matters which sites to begin, which to leave, and in which order to take the images of neighboring ones.
+A satellite like that of :mod:`bsk_torch.presets.aeos`, which turns more slowly, and which time limits, not power or storage,
+flies half an orbit at 5 degrees inclination over 300 sites within 9 degrees of the equator. Several sites are in view at once,
+with more images than can be taken, so that it matters which sites to begin, which to leave, and in which order to take the images
+of neighboring ones.
 
-In SitesTeam-v1, two satellites fly one behind the other, 4 degrees apart, over the same sites. Images of both count together, and
-each knows at once what the other has taken.
+In SitesTeam-v1, two satellites, as agile as in AEOS-v1, fly one behind the other, 4 degrees apart, over the same sites. Images of
+both count together, and each knows at once what the other has taken.
 
 Observation, 12 + 32 * 29 + 1 = 941 numbers: satellite and time as in AEOS-v1, and of each of the next 32 images, in order of
 closing time:
@@ -58,6 +59,7 @@ Random at reset: orbit; places, sizes, values and directions of sites; risks and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -79,6 +81,9 @@ APART = 4.0
 SITES = 300
 """Number of sites."""
 
+SLOW: dict[str, object] = dict(u_max=0.1, omega_max=math.radians(2.0))
+"""Largest torque of a wheel, N m, and largest rate, rad/s: a turn to a neighboring image takes 20 s, one of 30 degrees 60 s."""
+
 
 class SitesSatellite(AgileSatellite):
     """Observes the next 32 images and takes one of them."""
@@ -93,15 +98,20 @@ class SitesSetSatellite(SitesSatellite):
 
 
 class TeamSatellite(SitesSatellite):
-    """Observes also what other satellites do, and can do."""
+    """Observes also what other satellites do, and can do.
 
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, *TEAM), obs.Time())
+    Attributes:
+        slew: Time for a turn of one radian, by which margins are counted, s; less than that of the satellite of Sites-v1.
+    """
+
+    slew: ClassVar[float] = 45.0
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*TEAM), obs.Time())
 
 
 class TeamSetSatellite(TeamSatellite):
     """The same, with images as a set."""
 
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, *TEAM, as_set=True), obs.Time())
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*TEAM, as_set=True), obs.Time())
 
 
 def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> SatelliteTasking:
@@ -113,7 +123,7 @@ def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> S
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
-    arguments = agile_args() | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
+    arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
     return agile_environment((SitesSatellite, SitesSetSatellite), arguments, as_set, _parts(n_sites) | options)
 
 
@@ -121,14 +131,13 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
     """Return SitesTeam-v1; see the module, and :func:`sites`.
 
     Args:
-        n_satellites: Number of satellites, one behind the other; a single one observes what that of Sites-v1 does.
+        n_satellites: Number of satellites, one behind the other.
         as_set: See :func:`sites`.
         n_sites: See :func:`sites`.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellites.
     """
-    alone, team = (SitesSatellite, SitesSetSatellite), (TeamSatellite, TeamSetSatellite)
-    kind = (team if n_satellites > 1 else alone)[as_set]
+    kind = TeamSetSatellite if as_set else TeamSatellite
     arguments = {name: value for name, value in agile_args().items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]

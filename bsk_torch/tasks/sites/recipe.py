@@ -4,22 +4,35 @@ from __future__ import annotations
 
 SITES: dict[str, dict[str, object]] = {
     "attention": dict(
-        frames=250_000,
-        num_envs=128,
-        rollout=32,
+        frames=180_000,
+        num_envs=256,
+        rollout=16,
         hidden=(64,),
         learning_rate=1e-3,
         epochs=2,
         minibatch=512,
         gamma=0.996,
-        entropy=0.003,
+        entropy=0.005,
         imitate="commit",
-        imitation=0.12,
-        evaluate_every=50_000,
+        imitation=0.1,
+        evaluate_every=36_000,
         evaluate_episodes=128,
     )
 }
 """For sites: the rule that commits to what can be finished is learned first. What counts is decided within minutes."""
 
-TEAM: dict[str, dict[str, object]] = {"attention": SITES["attention"] | dict(num_envs=64)}
-"""The same for two satellites."""
+TEAM: dict[str, dict[str, object]] = {
+    "attention": SITES["attention"]
+    | dict(
+        frames=150_000,
+        num_envs=64,
+        rollout=32,
+        learning_rate=2e-3,
+        lmbda=0.85,
+        epochs=4,
+        entropy=0.003,
+        imitation=0.12,
+        evaluate_every=50_000,
+    )
+}
+"""The same for two satellites, which are paid for what either of them does: few steps count for a decision."""

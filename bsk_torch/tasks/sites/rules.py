@@ -76,6 +76,6 @@ def commit(env: SatelliteTasking, seed: int = 0, *, coordinated: bool = True, **
         **numbers: Numbers of :class:`Commitment` that replace the defaults, :data:`COORDINATED` in a team.
     """
     rule = CommitRule.of(env)
-    rule = replace(rule, team=rule.team and coordinated)
-    decide = partial(rule.decide, **((COORDINATED if rule.team else DEFAULTS)._asdict() | numbers))
+    defaults = COORDINATED if rule.team else DEFAULTS
+    decide = partial(replace(rule, team=rule.team and coordinated).decide, **(defaults._asdict() | numbers))
     return TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])

@@ -13,7 +13,7 @@ Number = Tensor | float
 
 
 class Commitment(NamedTuple):
-    """Numbers of :func:`worth`. The defaults are the best of 128 settings in 6,400 episodes of Sites-v1, rounded.
+    """Numbers of :func:`worth`. The defaults are the best of 96 settings in 4,864 episodes of Sites-v1, rounded.
 
     Attributes:
         patience: Time that divides the value of what is finished later by e, s.
@@ -27,14 +27,14 @@ class Commitment(NamedTuple):
         yielding: Part of its worth that a site loses while another satellite is about to take an image of it.
     """
 
-    patience: Number = 52.8
-    loyalty: Number = 2.4
-    each: Number = 6.8
-    reserve: Number = -6.3
-    doubt: Number = 13.4
-    slew: Number = 56.9
-    alone: Number = 0.15
-    nerve: Number = 0.6
+    patience: Number = 125.5
+    loyalty: Number = 4.05
+    each: Number = 23.4
+    reserve: Number = 0.3
+    doubt: Number = 30.2
+    slew: Number = 45.9
+    alone: Number = 0.42
+    nerve: Number = 0.46
     yielding: Number = 0.0
 
 

@@ -232,7 +232,7 @@ def test_margins_and_places_of_the_others_that_are_left():
     for n in range(2):
         now, windows = float(env.fleet.sim_time[n]), list(zip(far.place[n].tolist(), far.close[n].tolist(), strict=True))
         for i, place in enumerate(near.place[n].tolist()):
-            taken = max(float(near.open[n, i]), now + 45.0 * float(aims[n, i, 3]) ** 0.5)
+            taken = max(float(near.open[n, i]), now + 60.0 * float(aims[n, i, 3]) ** 0.5)
             left = [k for k, (other, _) in enumerate(windows) if other // 6 == place // 6]
             closes = [windows[k][1] for k in left if windows[k][0] != place]
             latest = min([float(near.close[n, i]), *(close - 21.4 * (k + 1) for k, close in enumerate(closes))])
@@ -316,7 +316,6 @@ def test_coordinated_rules_leave_images_to_others():
                 assert torch.equal(choice[deciding], best[deciding])
     assert doubled[0] == 0
     assert doubled[1] > 5
-    assert not CommitRule.of(member_view(make("SitesTeam-v1", num_envs=1, n_satellites=1))).team
 
 
 def test_trainings_without_options_use_the_recipe():
