@@ -2,7 +2,7 @@
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
-        [--futures 4 12] [--base FOLDER] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...]
+        [--futures 4 12] [--tried 8] [--base FOLDER] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...]
         [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
@@ -55,8 +55,8 @@ RANGES = {
 SHARED = {"yielding": (0.0, 1.2)}
 """The same in teams only."""
 
-GAMMA, TRIED = 0.995, 8
-"""Discount of planners per second, and actions that they try."""
+GAMMA = 0.995
+"""Discount of planners per second."""
 
 COLUMNS = {
     "entrant": "{entrant}",
@@ -121,7 +121,7 @@ def figures(entrant: str, one: dict[str, Any]) -> dict[str, Any]:
 def main() -> None:
     """Measure the entrants and print a table."""
     parsed = harness.parser(
-        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], first=FIRST
+        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], tried=8, first=FIRST
     )
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     parsed.add_argument("--base", type=Path, metavar="FOLDER", help="training whose policy planners improve instead of the rule")
@@ -173,7 +173,7 @@ def main() -> None:
     for futures in options.futures if options.planned else ():
         where = environment(options, options.planned, as_set=options.base is not None)
         base = bsk_torch.load_policy(options.base, where) if options.base else tuned_rule(where)
-        planner = Rollout(where, base, horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
+        planner = Rollout(where, base, horizon=options.horizon, gamma=GAMMA, budget=options.tried, futures=futures or None)
         enter(f"{PLANNER}{' of a policy' * bool(options.base)}, {futures} futures", planner, where)
     for path in options.join:
         for name, one in json.loads(path.read_text())["flown"].items():

@@ -23,16 +23,6 @@ SITES: dict[str, dict[str, object]] = {
 
 TEAM: dict[str, dict[str, object]] = {
     "attention": SITES["attention"]
-    | dict(
-        frames=150_000,
-        num_envs=64,
-        rollout=32,
-        learning_rate=2e-3,
-        lmbda=0.85,
-        epochs=4,
-        entropy=0.003,
-        imitation=0.12,
-        evaluate_every=50_000,
-    )
+    | dict(frames=250_000, num_envs=64, rollout=32, entropy=0.003, imitation=0.12, evaluate_every=50_000)
 }
-"""The same for two satellites, which are paid for what either of them does: few steps count for a decision."""
+"""For two satellites: smaller batches, and more of them."""
