@@ -117,7 +117,7 @@ RULES = {
     "nearest": "takes the target whose window closes next",
     "hasty": "weighs value against slew and waiting time",
     "farsighted": "the same, with the best three images that can follow",
-    "commit": "takes images of sites that can still be completed, those with the fewest images left first",
+    "commit": "takes images of sites that can be completed in time, and rather of those begun",
     "cooperative": "ranks like *farsighted* with turn rates and clouds; satellites leave each other their targets",
     "drift": "never thrusts",
     "circumnavigate": "flies around the spacecraft at its initial distance",

@@ -229,6 +229,8 @@ def test_margins_and_places_of_the_others_that_are_left():
     margin, others = reader.read(td["observation"], "site_margin"), reader.read_vector(td["observation"], "site_others")
     near, far = satellite.find_next_opportunities(32, "target"), satellite.find_next_opportunities(64, "target")
     aims, places = satellite.aims(near, None), satellite.aims(far, None)[..., :3]
+    assert (margin < 0.0).any()
+    assert (margin > 0.0).any()
     for n in range(2):
         now, windows = float(env.fleet.sim_time[n]), list(zip(far.place[n].tolist(), far.close[n].tolist(), strict=True))
         for i, place in enumerate(near.place[n].tolist()):
