@@ -2,8 +2,8 @@
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
-        [--futures 4 12] [--time-limit 2850] [--base FOLDER] [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...]
-        [--out FILE.json]
+        [--futures 4 12] [--tried 8] [--time-limit 2850] [--base FOLDER] [--first 7500000] [--runs FOLDER ...]
+        [--join FILE.json ...] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
 share is this gain as a part of the way from random actions to the entrant, or to the tuned rule if that is farther. ``--settings
@@ -37,7 +37,7 @@ from bsk_torch.tasks.sites.rules import CommitRule, commit
 FIRST = 7_500_000
 """First seed of the episodes in which entrants are compared."""
 
-TUNED, PLANNER = "commit, tuned", "rollout"
+TUNED, ALONE, PLANNER = "commit, tuned", "commit, uncoordinated", "rollout"
 
 RULES = ("random", "nearest", "greedy", "hasty", "farsighted", "commit")
 
@@ -53,8 +53,11 @@ RANGES = {
 }
 """Numbers of the rule that are tuned, and between which."""
 
-GAMMA, TRIED = 0.995, 8
-"""Discount of planners per second, and actions that they try."""
+SHARED = {"yielding": (0.0, 1.2)}
+"""The same in teams only."""
+
+GAMMA = 0.995
+"""Discount of planners per second."""
 
 COLUMNS = {
     "entrant": "{entrant}",
@@ -119,7 +122,7 @@ def figures(entrant: str, one: dict[str, Any]) -> dict[str, Any]:
 def main() -> None:
     """Measure the entrants and print a table."""
     parsed = harness.parser(
-        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], first=FIRST,
+        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], tried=8, first=FIRST,
         time_limit=ORBIT / 2,
     )  # fmt: skip
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
@@ -137,9 +140,10 @@ def main() -> None:
         "seeds": [options.first, options.first + options.episodes],
         "tuning": before.get("tuning", {}),
     }
+    team = CommitRule.of(member_view(env)).team
     if options.settings:
-        rule = CommitRule.of(member_view(env)).decide
-        tuning = bsk_torch.tune(rule, env, RANGES, settings=options.settings)
+        rule, ranges = commit(member_view(env)).module, RANGES | (SHARED if team else {})
+        tuning = bsk_torch.tune(rule, env, ranges, settings=options.settings)
         results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
         print(tuning, flush=True)
     numbers = results["tuning"].get("thresholds", {})
@@ -163,13 +167,15 @@ def main() -> None:
     for name in RULES if options.settings or not table else ():
         enter(name, bsk_torch.rule(name, env), env)
     enter(TUNED, tuned_rule(env), env)
+    if team:
+        enter(ALONE, shared(commit(member_view(env), coordinated=False), env), env)
     for folder in options.runs:
         where = environment(options, options.episodes, as_set=True)
         enter(f"policy {folder.name}", bsk_torch.load_policy(folder, where), where)
     for futures in options.futures if options.planned else ():
         where = environment(options, options.planned, as_set=options.base is not None)
         base = bsk_torch.load_policy(options.base, where) if options.base else tuned_rule(where)
-        planner = Rollout(where, base, horizon=options.horizon, gamma=GAMMA, budget=TRIED, futures=futures or None)
+        planner = Rollout(where, base, horizon=options.horizon, gamma=GAMMA, budget=options.tried, futures=futures or None)
         enter(f"{PLANNER}{' of a policy' * bool(options.base)}, {futures} futures", planner, where)
     for path in options.join:
         for name, one in json.loads(path.read_text())["flown"].items():

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.tasks.sites.scene import BEGUN, NOT_BEGUN, Sites
-from bsk_torch.tasks.sites.worth import Commitment, worth
+from bsk_torch.tasks.sites.worth import COORDINATED, Commitment, worth
 
 BITS = 8
 """Numbers of the code of a site."""
@@ -75,7 +76,7 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, images: Opportu
     whole = look_up(scenario.priority, image) * size
     begun = look_up(scenario.memory[BEGUN], site)
     now = satellite.simulator.of_env(satellite.fleet.sim_time).unsqueeze(1)
-    taken = torch.maximum(images.open, now + SLEW * satellite.aims(images, None)[..., 3].sqrt())
+    taken = torch.maximum(images.open, now + getattr(satellite, "slew", SLEW) * satellite.aims(images, None)[..., 3].sqrt())
     further = same & (image.unsqueeze(2) != following.place.unsqueeze(1))
     latest = torch.where(further, following.close.unsqueeze(1) - EACH * further.cumsum(2), torch.inf).amin(2)
     r_LB_H, r_FB_H = satellite.aims(images, None)[..., :3], satellite.aims(following, None)[..., :3]
@@ -102,14 +103,24 @@ def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tens
 
 def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     """Return what each image is worth to the rule *commit*, divided by that of the best, [N, n]; -1 for those out of reach."""
+    return _part_of_best(satellite, images, {}, Commitment())
+
+
+def team_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    """Return the same in a team, where the rule leaves images to others."""
+    return _part_of_best(satellite, images, shares(satellite, images)._asdict(), COORDINATED)
+
+
+def _part_of_best(satellite: BoundAccessSatellite, images: Opportunities, team: dict[str, Tensor], numbers: Commitment) -> Tensor:
     now, outlook = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
-    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | {
+    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | team
+    values |= {
         "risk": outlook.risk,
         "target_angle": satellite.aims(images, None)[..., 3],
         "opportunity_open": images.open - now,
         "opportunity_close": images.close - now,
     }
-    worths = worth(values.__getitem__, Commitment())
+    worths = worth(values.__getitem__, numbers, bool(team))
     return (worths / worths.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
 
 
@@ -123,6 +134,84 @@ def site_code(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
     hashed = (images.place // scenario.most + 1) * 2654435761
     bits = torch.arange(32 - BITS, 32, device=hashed.device)
     return ((hashed.unsqueeze(-1) >> bits) & 1).double() * 2.0 - 1.0
+
+
+class Shares(NamedTuple):
+    """What is known of n images where several satellites take images of the same sites, [N, n] each.
+
+    Attributes:
+        claimed: Number of other satellites that are about to take the image.
+        site_claims: Number of other satellites that are about to take an image of its site.
+        later: Time until the last window of the image over another satellite closes, s; 0 without one.
+        team_left: Images of the site that some satellite can still take.
+        team_chance: Probability that all of them are clear.
+        team_finish: What they pay if all are clear.
+        team_close: Time until the last window of these images closes, s.
+    """
+
+    claimed: Tensor
+    site_claims: Tensor
+    later: Tensor
+    team_left: Tensor
+    team_chance: Tensor
+    team_finish: Tensor
+    team_close: Tensor
+
+
+def shares(satellite: BoundAccessSatellite, images: Opportunities) -> Shares:
+    """Return what is known of the observed images in a team, computed once for a state."""
+    scenario: Sites = satellite.scenario
+    key: Hashable = ("shares", satellite.type_index)
+    draws = satellite.fleet.scenario_state.version
+    return scenario.memo.once(key, satellite.fleet, lambda: _shares(satellite, scenario, images.place), (draws,))
+
+
+def _last_closing(satellite: BoundAccessSatellite) -> Tensor:
+    """Return when the last window over each image among the next :data:`NEXT` closes, [N, T] s; minus infinity without one."""
+    most, following = satellite.scenario.most_targets, satellite.find_next_opportunities(NEXT, "target")
+    place = torch.where(following.mask, following.place, most)
+    never = torch.full((len(place), most + 1), -torch.inf, dtype=torch.float64, device=place.device)
+    return never.scatter_reduce(1, place, following.close, "amax")[:, :-1]
+
+
+def _aim(satellite: BoundImagingSatellite) -> Tensor:
+    """Return the image that each satellite is about to take, [N]; negative without one."""
+    free = satellite.task.requires_retasking | satellite.task.dead
+    return torch.where(free, -1, satellite.latest_target)
+
+
+def _shares(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> Shares:
+    fleet, of_env, look_up = satellite.fleet, satellite.of_env, satellite.simulator.look_up
+    closes = fleet.each(_last_closing)
+    last = closes.amax(1)
+    number = torch.arange(fleet.size, device=image.device)
+    by_each = of_env(closes).gather(2, image.unsqueeze(1).expand(-1, fleet.size, -1))
+    mine = satellite.rows_of(number.expand(fleet.num_envs, -1)).unsqueeze(1) == number
+    later = torch.where(mine.unsqueeze(2), -torch.inf, by_each).amax(1)
+    aims = torch.where(mine, -1, of_env(fleet.each(_aim))).unsqueeze(1)
+    site = image // scenario.most
+    now = of_env(fleet.sim_time).unsqueeze(1)
+    can = (last > -torch.inf).unflatten(1, (-1, scenario.most))
+    clear = (1.0 - scenario.drawn("image_risk")).unflatten(1, (-1, scenario.most))
+    left = can.double().sum(2)
+    size, done = scenario.drawn("site_size"), scenario.done
+    pays = scenario.gain((done + left) / size) - scenario.gain(done / size)
+    return Shares(
+        claimed=(aims == image.unsqueeze(2)).double().sum(2),
+        site_claims=(aims // scenario.most == site.unsqueeze(2)).double().sum(2),
+        later=(later - now).clamp(min=0.0),
+        team_left=look_up(left, site),
+        team_chance=look_up(torch.where(can, clear, 1.0).prod(2), site),
+        team_finish=look_up(scenario.priority, image) * look_up(size * pays, site),
+        team_close=(look_up(last.unflatten(1, (-1, scenario.most)).amax(2), site) - now).clamp(min=0.0),
+    )
+
+
+def _share(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tensor]:
+    def read(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+        return getattr(shares(satellite, images), name)
+
+    return read
 
 
 SITE = (
@@ -140,3 +229,15 @@ SITE = (
     dict(fn=site_code, prop="site_code"),
 )
 """Observed properties of each image, in addition to its place, turn and window."""
+
+TEAM = (
+    *(entry | dict(fn=team_worth) if entry["prop"] == "commit_worth" else entry for entry in SITE),
+    dict(fn=_share("claimed"), prop="claimed"),
+    dict(fn=_share("site_claims"), prop="site_claims"),
+    dict(fn=_share("later"), prop="later", norm=300.0),
+    dict(fn=_share("team_left"), prop="team_left", norm=6.0),
+    dict(fn=_share("team_chance"), prop="team_chance"),
+    dict(fn=_share("team_finish"), prop="team_finish", norm=6.0),
+    dict(fn=_share("team_close"), prop="team_close", norm=300.0),
+)
+"""The same in a team."""

@@ -33,10 +33,24 @@ closing time:
 With ``as_set=True``, they are ``rows`` [N, 32, 29] with a ``mask`` [N, 32]. Nothing is hidden but whether images that have not
 been taken are clear.
 
+Satellites of a team observe 12 + 32 * 36 + 1 = 1,165 numbers, and in ``rows`` 36, with what the others do and can do:
+
+============================  ==================================================================================
+``claimed``                   number of other satellites that are about to take the image
+``site_claims``               number of other satellites that are about to take an image of its site
+``later_normd``               time until the last window of the image over another satellite closes, divided by
+                              300 s; 0 without one
+``team_left_normd``           images of its site that some satellite can still take, divided by 6
+``team_chance``               probability that all of them are clear
+``team_finish_normd``         what they pay if they are clear, divided by 6
+``team_close_normd``          time until the last of their windows closes, divided by 300 s
+============================  ==================================================================================
+
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
 
 Reward: value times size of the site for the image that completes it; with ``scenario=Sites(300, gain="convex")``, what each clear
-image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. Images of a site can be chosen for 300 s after its first one.
+image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. The satellites of a team get equal parts, whoever took the image.
+Images of a site can be chosen for 300 s after its first one.
 
 Termination: at the time limit of 2,850 s.
 
@@ -54,7 +68,7 @@ import torch
 from bsk_torch import formations, obs, rand
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, AgileSatellite, agile_args, agile_environment, targets_ahead
-from bsk_torch.tasks.sites.obs import SITE
+from bsk_torch.tasks.sites.obs import SITE, TEAM
 from bsk_torch.tasks.sites.reward import CompletionReward
 from bsk_torch.tasks.sites.scene import Sites
 
@@ -83,6 +97,23 @@ class SitesSetSatellite(SitesSatellite):
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, as_set=True), obs.Time())
 
 
+class TeamSatellite(SitesSatellite):
+    """Observes also what other satellites do, and can do.
+
+    Attributes:
+        slew: Time for a turn of one radian, by which margins are counted, s; less than that of the satellite of Sites-v1.
+    """
+
+    slew: ClassVar[float] = 45.0
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*TEAM), obs.Time())
+
+
+class TeamSetSatellite(TeamSatellite):
+    """The same, with images as a set."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*TEAM, as_set=True), obs.Time())
+
+
 def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> SatelliteTasking:
     """Return Sites-v1; see the module.
 
@@ -106,7 +137,7 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellites.
     """
-    kind = SitesSetSatellite if as_set else SitesSatellite
+    kind = TeamSetSatellite if as_set else TeamSatellite
     arguments = {name: value for name, value in agile_args().items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]

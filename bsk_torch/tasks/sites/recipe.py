@@ -21,5 +21,8 @@ SITES: dict[str, dict[str, object]] = {
 }
 """For sites: the rule that commits to what can be finished is learned first. What counts is decided within minutes."""
 
-TEAM: dict[str, dict[str, object]] = {"attention": SITES["attention"] | dict(num_envs=64, rollout=32)}
-"""The same for two satellites."""
+TEAM: dict[str, dict[str, object]] = {
+    "attention": SITES["attention"]
+    | dict(frames=250_000, num_envs=64, rollout=32, entropy=0.003, imitation=0.12, evaluate_every=50_000)
+}
+"""For two satellites: smaller batches, and more of them."""

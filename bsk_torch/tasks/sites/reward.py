@@ -16,9 +16,9 @@ class CompletionReward(ImageReward):
     """Reward for clear images of :class:`~bsk_torch.tasks.sites.Sites`, by what they add to the completion of their site.
 
     A site of value v with n images pays ``v n (gain(after / n) - gain(before / n))`` in a step in which the number of its clear
-    images rises, in equal parts to the satellites that have taken them. Images of all satellites count together, all know of
-    them, and an image counts once, for the first satellite if several take it in the same step. The counter ``cloudy`` [N, S] is
-    the number of images that were not clear.
+    images rises, in equal parts to all satellites, whoever took them: a site is finished by one satellite with images of another.
+    Images of all satellites count together, all know of them, and an image counts once, for the first satellite if several take
+    it in the same step. The counter ``cloudy`` [N, S] is the number of images that were not clear.
     """
 
     scenario: Sites
@@ -48,7 +48,8 @@ class CompletionReward(ImageReward):
         memory[SHOT] = shot | self.taken_by_any(target, fresh, scenario.most_targets)
         memory[BEGUN] = torch.where(visited & (memory[BEGUN] == NOT_BEGUN), now, memory[BEGUN])
         memory["cloudy"] = memory["cloudy"] + (fresh & ~clear)
-        return torch.where(clear, scenario.priority_of(target) * paid.gather(1, site), 0.0)
+        earned = torch.where(clear, scenario.priority_of(target) * paid.gather(1, site), 0.0)
+        return earned.mean(1, keepdim=True).expand_as(earned)
 
     @override
     def counts(self) -> dict[str, Tensor]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -12,22 +12,30 @@ from typing_extensions import Self
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions
-from bsk_torch.tasks.sites.worth import Commitment, Number, worth
+from bsk_torch.tasks.sites.worth import COORDINATED, Commitment, Number, worth
 
 DEFAULTS = Commitment()
 
 
 @dataclass(frozen=True)
 class CommitRule:
-    """Takes the image that is worth the most to one who commits to sites that can be finished, see :func:`worth`."""
+    """Takes the image that is worth the most to one who commits to sites that can be finished, see :func:`worth`.
+
+    Attributes:
+        see: Reader of the observed images.
+        images: Actions that take them.
+        team: Whether to leave what other satellites are about to take to them.
+    """
 
     see: TargetReader
     images: range
+    team: bool
 
     @classmethod
     def of(cls, env: SatelliteTasking) -> Self:
         """Return the rule for an environment; KeyError or ValueError unless it observes sites, as Sites-v1 does."""
-        rule = cls(TargetReader.of(env), image_actions(env))
+        see = TargetReader.of(env)
+        rule = cls(see, image_actions(env), "site_claims" in see.column)
         zero = env.observation_spec.zero()
         rule.decide(zero["observation"], zero["action_mask"])
         return rule
@@ -46,18 +54,28 @@ class CommitRule:
         slew: Number = DEFAULTS.slew,
         alone: Number = DEFAULTS.alone,
         nerve: Number = DEFAULTS.nerve,
+        yielding: Number = DEFAULTS.yielding,
     ) -> Tensor:
         """Return actions, [N], for an observation and the legal actions [N, A]; the numbers are those of :class:`Commitment`."""
-        settings = (patience, loyalty, each, reserve, doubt, slew, alone, nerve)
+        settings = (patience, loyalty, each, reserve, doubt, slew, alone, nerve, yielding)
         numbers = Commitment(
             *(torch.as_tensor(value, dtype=torch.float32, device=action_mask.device).reshape(-1, 1) for value in settings)
         )
-        values = worth(lambda name: self.see.read(observation, name), numbers)
+        values = worth(lambda name: self.see.read(observation, name), numbers, self.team)
         legal = action_mask[:, self.images.start : self.images.stop] & self.see.exist(observation)
         return self.images.start + values.masked_fill(~legal, -torch.inf).argmax(1)
 
 
-def commit(env: SatelliteTasking, seed: int = 0, **numbers: Tensor) -> TensorDictModule:
-    """Return a :class:`CommitRule` with other ``numbers`` for an environment that observes sites; else KeyError or ValueError."""
-    decide = partial(CommitRule.of(env).decide, **numbers)
+def commit(env: SatelliteTasking, seed: int = 0, *, coordinated: bool = True, **numbers: Number) -> TensorDictModule:
+    """Return a :class:`CommitRule` for an environment that observes sites; else KeyError or ValueError.
+
+    Args:
+        env: The environment.
+        seed: Not used.
+        coordinated: Whether to leave what other satellites are about to take to them, in a team.
+        **numbers: Numbers of :class:`Commitment` that replace the defaults, :data:`COORDINATED` in a team.
+    """
+    rule = CommitRule.of(env)
+    defaults = COORDINATED if rule.team else DEFAULTS
+    decide = partial(replace(rule, team=rule.team and coordinated).decide, **(defaults._asdict() | numbers))
     return TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])

@@ -24,6 +24,7 @@ class Commitment(NamedTuple):
         slew: Time for a turn of one radian, s; it grows with the square root of the angle.
         alone: Weight of what an image pays without the others.
         nerve: Exponent of the probability that all images are clear: 0 for one who does not look at the forecast.
+        yielding: Part of its worth that a site loses while another satellite is about to take an image of it.
     """
 
     patience: Number = 125.5
@@ -34,9 +35,14 @@ class Commitment(NamedTuple):
     slew: Number = 45.9
     alone: Number = 0.42
     nerve: Number = 0.46
+    yielding: Number = 0.0
 
 
-def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
+COORDINATED = Commitment(40.0, 2.4, 6.8, -6.3, 13.4, 56.9, 0.15, 0.6, yielding=0.8)
+"""Numbers for SitesTeam-v1."""
+
+
+def worth(read: Callable[[str], Tensor], numbers: Commitment, team: bool = False) -> Tensor:
     """Return what images are worth, [N, n]; those that are out of reach have less than -1.
 
     With the time t until an image of a site is taken and n images that are left, it is::
@@ -44,11 +50,13 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
         finish * chance^nerve * (1 + loyalty * done / size) * exp(-(t + (n - 1) * each) / patience)
             * sigmoid((margin - reserve) / doubt)
 
-    and further ``alone * step * (1 - risk) * exp(-t / patience)``.
+    and further ``alone * step * (1 - risk) * exp(-t / patience)``. In a team, images that another satellite is about to take are
+    worth nothing, and the first term is multiplied by ``1 - yielding`` for the others of their site.
 
     Args:
         read: Function from the name of an observed property to its values, [N, n].
         numbers: The numbers.
+        team: Whether it is known what other satellites are about to take.
     """
     taken = torch.maximum(read("opportunity_open"), numbers.slew * read("target_angle").clamp(min=0.0).sqrt())
     closes = read("opportunity_close")
@@ -57,4 +65,7 @@ def worth(read: Callable[[str], Tensor], numbers: Commitment) -> Tensor:
     in_time = torch.sigmoid((read("site_margin") - numbers.reserve) / numbers.doubt)
     whole = read("site_finish") * read("site_chance") ** numbers.nerve * nearly * in_time * torch.exp(-last / numbers.patience)
     step = numbers.alone * read("site_step") * (1.0 - read("risk")) * torch.exp(-taken / numbers.patience)
-    return torch.where(taken < closes, whole + step, -1.0 - 1e-6 * taken)
+    if team:
+        whole = whole * (1.0 - numbers.yielding * read("site_claims").clamp(max=1.0))
+    worths = whole + step if not team else (whole + step) * (read("claimed") <= 0.0)
+    return torch.where(taken < closes, worths, -1.0 - 1e-6 * taken)

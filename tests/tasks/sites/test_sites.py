@@ -1,5 +1,7 @@
 """Sites: draws, rewards by hand, hidden weather, states, masks, observations, the rule."""
 
+import math
+
 import pytest
 import torch
 
@@ -8,10 +10,11 @@ from bsk_torch import scene
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, first_key
 from bsk_torch.rl.evaluation import evaluate
+from bsk_torch.rl.policies.shared_policy import member_view, shared
 from bsk_torch.rl.rules.targets import TargetReader
 from bsk_torch.rl.training import configure
 from bsk_torch.tasks.sites import Sites
-from bsk_torch.tasks.sites.rules import CommitRule
+from bsk_torch.tasks.sites.rules import CommitRule, commit
 from bsk_torch.tasks.sites.scene import BEGUN
 from tests.support.refusals import check_refusals, refusal
 
@@ -114,12 +117,12 @@ def test_complete_sites_pay_all_at_the_last_image():
     assert reward.measures()["sites_complete"].tolist() == [1.0]
 
 
-def test_satellites_share_what_they_add_in_a_step():
+def test_satellites_share_what_any_of_them_adds():
     env = linked("convex", 4, [1] * 6, satellites=3)
     reward = env.rewarder
     taken = torch.ones(1, 3, dtype=torch.bool)
     got = reward.value(torch.tensor([[0, 0, 1]]), taken)  # two of four images, the first of them by two satellites
-    torch.testing.assert_close(got, torch.tensor([[0.2, 0.0, 0.2]], dtype=torch.float64))
+    torch.testing.assert_close(got, torch.full((1, 3), 0.4 / 3.0, dtype=torch.float64))
     assert not env.scenario.open[0, :2].any()
     assert env.scenario.open[0, 2:4].all()
     assert not env.rewarder.selectable()[0, :, 0].any()
@@ -257,12 +260,64 @@ def test_teams_know_all_images():
     for _ in range(25):
         td = env.step(rule(td))["next"]
         total += td["agents", "reward"].sum((1, 2))
-    assert td["agents", "observation"].shape == (2, 2, 941)
+    assert td["agents", "observation"].shape == (2, 2, 1165)
     images = env.satellites[0].find_next_opportunities(32, "target")
     assert not env.scenario.shot.repeat_interleave(2, 0).gather(1, images.place)[images.mask].any()
     size, done = env.scenario.drawn("site_size"), env.scenario.done
     value = env.scenario.drawn("target_priority")[:, ::6]
     torch.testing.assert_close(total, (value * size * env.scenario.gain(done / size)).sum(1).float())
+
+
+def test_teams_observe_what_others_can_take_and_are_about_to():
+    """Counted satellite by satellite, image by image, in an episode of each of two teams of three."""
+    env = make("SitesTeam-v1", num_envs=2, seed=1, n_satellites=3)
+    td, rule = env.reset(), bsk_torch.rule("commit", env)
+    for _ in range(20):
+        td = env.step(rule(td))["next"]
+    satellite, reader = env.satellites[0], TargetReader.of(member_view(env))
+    ahead, task = satellite.find_next_opportunities(64, "target"), satellite.task
+    windows = [
+        dict(list(zip(places, closes, strict=True))[:n])
+        for places, closes, n in zip(ahead.place.tolist(), ahead.close.tolist(), ahead.found.tolist(), strict=True)
+    ]
+    aims = [None if free else int(aim) for free, aim in zip(task.requires_retasking, satellite.latest_target, strict=True)]
+    risk, now = env.scenario.drawn("image_risk"), env.fleet.sim_time.tolist()
+    for row in range(6):
+        team, place = row // 3, ahead.place[row, :32].tolist()
+        others = [k for k in range(3 * team, 3 * team + 3) if k != row]
+        left = [set().union(*(windows[k] for k in (row, *others))) & set(range(p // 6 * 6, p // 6 * 6 + 6)) for p in place]
+        last = [max(windows[k].get(p, -1.0) for k in (row, *others) for p in site) for site in left]
+        expected = {
+            "claimed": [sum(aims[k] == p for k in others) for p in place],
+            "site_claims": [sum(aims[k] is not None and aims[k] // 6 == p // 6 for k in others) for p in place],
+            "later": [max(0.0, *(windows[k].get(p, now[team]) - now[team] for k in others)) for p in place],
+            "team_left": [len(site) for site in left],
+            "team_chance": [math.prod(1.0 - float(risk[team, p]) for p in site) for site in left],
+            "team_close": [x - now[team] for x in last],
+        }
+        for name, values in expected.items():
+            seen_values = reader.read(td["agents", "observation"][team, row % 3].unsqueeze(0), name)[0]
+            torch.testing.assert_close(seen_values, torch.tensor(values).float(), atol=1e-3, rtol=1e-5)
+    assert (reader.read(td["agents", "observation"], "site_claims") > 0.0).any()
+
+
+def test_coordinated_rules_leave_images_to_others():
+    env = make("SitesTeam-v1", num_envs=8, seed=3)
+    view, td, rule = member_view(env), env.reset(), bsk_torch.rule("commit", env)
+    reader, alone = TargetReader.of(view), shared(commit(view, coordinated=False), env)
+    doubled = [0, 0]
+    for _ in range(25):
+        td = env.step(rule(td))["next"]
+        agents = td["agents"]
+        deciding, claimed = agents["requires_retasking"].squeeze(-1), reader.read(agents["observation"], "claimed")
+        best = reader.read(agents["observation"], "commit_worth").argmax(-1)
+        for k, policy in enumerate((rule, alone)):
+            choice = policy(td.clone())["agents", "action"]
+            doubled[k] += int((claimed.gather(-1, choice.clamp(max=31).unsqueeze(-1)).squeeze(-1) > 0.0)[deciding].sum())
+            if k == 0:
+                assert torch.equal(choice[deciding], best[deciding])
+    assert doubled[0] == 0
+    assert doubled[1] > 5
 
 
 def test_trainings_without_options_use_the_recipe():
