@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from typing import cast
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import position
 from bsk_torch.astro.sight import POLAR_STRETCH
+from bsk_torch.codegen.ir import Value
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, speed_bound, visibility_margin
@@ -72,4 +74,4 @@ def sight_kernel() -> Kernel:
     loop = builder.loop(
         [after * h_ns * NANO, after, torch.where(sees, 1.0, torch.zeros_like(tick))], [], (EPHEMERIS_TRACK, ARC, ARC), time
     )
-    return Kernel("lines of sight", dataclasses.replace(loop, stop=sees | (after > last)))
+    return Kernel("lines of sight", dataclasses.replace(loop, stop=cast("Value", sees | (after > last))))
