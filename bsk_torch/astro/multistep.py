@@ -49,4 +49,5 @@ def position_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
         constant = Fraction(end ** (k + 1) - start ** (k + 1), k + 1) * end
         return constant - Fraction(end ** (k + 2) - start ** (k + 2), k + 2)
 
-    return [float(sum(c * moment(k) for k, c in enumerate(terms))) for terms in lagrange(tuple(nodes))]
+    moments = [moment(k) for k in range(len(nodes))]
+    return [float(sum(c * m for c, m in zip(terms, moments, strict=True))) for terms in lagrange(tuple(nodes))]

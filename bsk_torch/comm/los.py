@@ -10,7 +10,7 @@ from bsk_torch.comm.base import CommunicationMethod, MultiDegreeCommunication
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.links.line_of_sight import speed_bound
 from bsk_torch.sim.access.links.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
-from bsk_torch.sim.access.visibility.kernels import KernelVisibility
+from bsk_torch.sim.access.links.sight_kernel import PAIRS_AT_ONCE, sensors_see
 from bsk_torch.sim.dyn import LOSCommDynModel
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.vec3 import Vec3
@@ -66,14 +66,33 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
         directed: Whether the result is that of each sensor, [N, sensor, other], or that of either sensor of a pair.
     """
     pairs = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
-    envs = torch.nonzero(asked & (fleet.ticks > fleet.since)).squeeze(-1)
-    if fleet.size < 2 or not len(envs):
+    moved = asked & (fleet.ticks > fleet.since)
+    if fleet.size < 2 or not bool(moved.any()):
         return pairs
     _check_covered(fleet, asked)
-    search = make_search(fleet, fleet.since, torch.maximum(fleet.ticks - 1, fleet.since))
-    for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
+    span = fleet.since, torch.maximum(fleet.ticks - 1, fleet.since)
+    if len(fleet.simulators) == 1 and _by_kernels(fleet.simulators[0]):
+        seen = _seen_by_kernel(fleet, moved, span)
+        return seen if directed else seen | seen.mT
+    search = make_search(fleet, *span)
+    for some in torch.nonzero(moved).squeeze(-1).split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
         pairs[some] = search.visible_pairs(some, directed)
     return pairs
+
+
+def _seen_by_kernel(fleet: SatelliteFleet, moved: Tensor, span: tuple[Tensor, Tensor]) -> Tensor:
+    """Return which sensors of satellites of one type see which others in a ``span`` of the episodes ``moved`` [N], [N, S, S]."""
+    simulator, s = fleet.simulators[0], fleet.size
+    seen = moved.view(-1, 1, 1) & ~torch.eye(s, dtype=torch.bool)
+    if fleet.present is not None:
+        seen = seen & fleet.present.unsqueeze(1) & fleet.present.unsqueeze(2)
+    orbits = torch.cat([simulator.read("r_BN_N"), simulator.read("v_BN_N")], 1)
+    for part in torch.nonzero(seen).split(PAIRS_AT_ONCE):
+        env, i, j = part.unbind(1)
+        rows, ticks = (env * s + i, env * s + j), (span[0][env], span[1][env])
+        reach = simulator.state.arguments[MAX_RANGE]
+        seen[env, i, j] = sensors_see(simulator.arcs, rows, orbits, reach, ticks, simulator.h_ns)
+    return seen
 
 
 def sights(fleet: SatelliteFleet, first: int) -> Tensor:
@@ -93,8 +112,12 @@ def make_search(fleet: SatelliteFleet, first: Tensor, last: Tensor) -> LineOfSig
 def flown_orbits(simulator: Simulator, columns: Tensor) -> FlownOrbits:
     """Return the flown orbits of the satellites of one type, with their sensors' ranges and bounds of their speeds."""
     r_BN_N, v_BN_N = (Vec3.of(simulator.read(name)) for name in ("r_BN_N", "v_BN_N"))
-    speed, use_kernels = speed_bound(r_BN_N, v_BN_N), isinstance(simulator.lookahead.eclipses.visibility, KernelVisibility)
-    return FlownOrbits(simulator.arcs, columns, simulator.state.arguments[MAX_RANGE], speed, use_kernels, simulator.present)
+    speed, by_kernels = speed_bound(r_BN_N, v_BN_N), _by_kernels(simulator)
+    return FlownOrbits(simulator.arcs, columns, simulator.state.arguments[MAX_RANGE], speed, by_kernels, simulator.present)
+
+
+def _by_kernels(simulator: Simulator) -> bool:
+    return simulator.lookahead.eclipses.visibility.kernels
 
 
 def _check_covered(fleet: SatelliteFleet, asked: Tensor) -> None:

@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDict
 
 import bsk_torch
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.state import StateTable
 from tests.support.episodes import begun, unchanged
 from tests.support.refusals import check_refusals, refusal
@@ -263,6 +264,31 @@ def test_longer_arcs_are_met():
     eclipses = [env.satellite.next_eclipse() for env in (long, short)]
     for a, b in zip(*eclipses, strict=True):
         assert a[2] == b[1]
+
+
+@pytest.mark.compiled
+def test_planned_hours_that_were_dropped_are_not_missed():
+    """Arcs that grew dropped the first planned hour, searched by then, in states of earlier versions."""
+
+    def seen(env: Any) -> torch.Tensor:
+        windows = env.satellite.find_windows(8.0 * ARC_SEGMENT)
+        return windows.place[1, windows.close[1].isfinite()]
+
+    env, long, short = (make("imaging", 2) for _ in range(3))
+    for each in (env, long, short):
+        each.reset()
+    lookahead = env.simulator.lookahead
+    for each in (lookahead, long.simulator.lookahead):
+        each.grow()
+    lookahead.access.catch_up(lookahead.all_rows)
+    saved, one = env.get_state(), torch.tensor([1])
+    expected = seen(env)
+    arcs = saved["satellites_0", "lookahead", "arcs"]
+    arcs["planned"] = arcs["planned"][:, SAMPLES_PER_SEGMENT:]
+    assert len(expected) > 40
+    for each in (long, short):
+        each.restore(saved, one, one)
+        assert torch.equal(seen(each), expected)
 
 
 @pytest.mark.compiled

@@ -160,6 +160,10 @@ class LookAhead(StateTable):
         assert isinstance(other, LookAhead)
         self.grow_to(other.arcs.length)
         other.grow_to(self.arcs.length)
+        each = self.arcs, self.flight, other.arcs, other.flight
+        most = max(arcs.planned.shape[1] for arcs in each)
+        for arcs in each:
+            arcs.keep(most)
         super().copy_rows(envs, other, source)
 
     # -- time ---------------------------------------------------------------------------------------------------------
@@ -214,8 +218,6 @@ class LookAhead(StateTable):
         if self.arcs.restarts:
             self.arcs.grow()
             return
-        if self.access is not None:
-            self.access.catch_up(self.all_rows)
         self.arcs.grow()
         self.eclipses.lengthen(self.all_rows)
 

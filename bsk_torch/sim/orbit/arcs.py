@@ -7,7 +7,7 @@ polynomial through positions a minute apart serves every tick. Of satellites tha
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
 arc is that of BSK-RL's look-ahead, a Runge-Kutta propagation in steps of 30 s; its truncation error, meters per orbit, is
 reproduced by adding the error of one such step to the equations of motion. Of the planned arc only the end is kept, which is
-what look-ahead still has to search.
+what look-ahead still has to search: arcs that grow keep what they have.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODE
 from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
 
-PLANNED_SEGMENTS = 5  # number of stored hours of the planned arc
+PLANNED_SEGMENTS = 5  # number of stored hours of a planned arc that has not grown
 
 
 def follow_arc(bus: Bus) -> None:
@@ -78,9 +78,10 @@ class Arcs(StateTable):
     def check_relations(self, path: str) -> None:
         """See :meth:`StateTable.check_relations`: tables of equally many hours, which begin at a whole hour."""
         spans = (self.flown.shape[1] - LEAD_NODES - 1) // NODES_PER_SEGMENT
+        planned = min(max((self.planned.shape[1] - 1) // SAMPLES_PER_SEGMENT, self.kept), spans)  # those that grow keep more
         widths = {
             "flown": LEAD_NODES + spans * NODES_PER_SEGMENT + 1,
-            "planned": min(spans, self.kept) * SAMPLES_PER_SEGMENT + 1,
+            "planned": planned * SAMPLES_PER_SEGMENT + 1,
             "ephemeris": spans + 2,
         }
         for name, width in widths.items():
@@ -174,9 +175,13 @@ class Arcs(StateTable):
         """Make every arc an hour longer; nothing changes if that fails."""
         ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start, self.solver.earth)
         flown, new, tail = self._solved(self.all_rows, self.et, self.tail, self.start, ephemeris, self.flown)
-        full = self.planned.shape[1] > self.kept * SAMPLES_PER_SEGMENT
-        planned = torch.cat([self.planned[:, SAMPLES_PER_SEGMENT if full else 0 :], new], 1)
-        self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=planned, tail=tail)
+        self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=torch.cat([self.planned, new], 1), tail=tail)
+
+    def keep(self, samples: int) -> None:
+        """Make room for so many planned samples; what lies before those of an arc that kept fewer has been searched."""
+        missing = samples - self.planned.shape[1]
+        if missing > 0:
+            self.__dict__["planned"] = torch.nn.functional.pad(self.planned, (0, 0, missing, 0))
 
 
 def off_the_hour(seconds: Tensor) -> Tensor:

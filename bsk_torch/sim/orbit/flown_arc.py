@@ -61,13 +61,13 @@ def start_schedule() -> Tensor:
     Weights are those of the accelerations. The first tick visits the epoch, the following ones visit :data:`START_STEPS`, again
     and again. All environments share the rows, which must not be written into.
     """
-    nodes = [0, *START_STEPS]
-    rows = [[0.0, 1.0, 0.0, *[0.0] * (2 * (MULTISTEP_ORDER + 1))]]
-    for node in START_STEPS * START_SWEEPS:
+    nodes, sweep = [0, *START_STEPS], []
+    for node in START_STEPS:
         r = _scaled(position_weights(nodes, 0, node), MULTISTEP_STEP**2)
         v = _scaled(velocity_weights(nodes, 0, node), MULTISTEP_STEP)
-        rows.append([node * MULTISTEP_STEP, 0.0, float(node == START_STEPS[-1]), *r, *v])
-    return torch.tensor(rows, dtype=torch.float64)
+        sweep.append([node * MULTISTEP_STEP, 0.0, float(node == START_STEPS[-1]), *r, *v])
+    first = [0.0, 1.0, 0.0, *[0.0] * (2 * (MULTISTEP_ORDER + 1))]
+    return torch.tensor([first, *sweep * START_SWEEPS], dtype=torch.float64)
 
 
 def visited(r0: Vec3, v0: Vec3, accelerations: list[Vec3], time: Tensor, weights: Sequence[Tensor]) -> tuple[Vec3, Vec3]:

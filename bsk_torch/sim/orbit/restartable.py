@@ -114,10 +114,8 @@ class RestartableArcs(Arcs):
         """Make room for an hour more in every arc; nothing is solved."""
         ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start, self.solver.earth)
         flown = torch.cat([self.flown, self.flown[:, -1:].expand(-1, NODES_PER_SEGMENT, -1)], 1)
-        planned = self.planned
-        if planned.shape[1] <= self.kept * SAMPLES_PER_SEGMENT:  # the last sample is that of the end
-            planned = torch.cat([planned[:, :1].expand(-1, SAMPLES_PER_SEGMENT, -1), planned], 1)
-        self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=planned)
+        self.__dict__.update(ephemeris=ephemeris, flown=flown)
+        self.keep(self.planned.shape[1] + SAMPLES_PER_SEGMENT)  # the last sample is that of the end
 
     def state_at(self, rows: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return flown position, m, and velocity, m/s, in N, [n, 3], of ``rows`` [n] at ``time`` [n] s.

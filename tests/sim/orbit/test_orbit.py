@@ -181,14 +181,14 @@ def test_plans_are_kept_up_to_their_length(recording, solve_arcs, backend, make_
     assert kept.shape[1] == PLANNED_SEGMENTS * SAMPLES_PER_SEGMENT + 1
     assert arcs.planned_from.tolist() == [2 * ARC_SEGMENT] * 5
     assert torch.equal(kept, view.samples.table[:, 2 * SAMPLES_PER_SEGMENT :])
-    arcs.grow()
+    arcs.grow()  # and those that grow keep what they have
+    assert arcs.planned_from.tolist() == [2 * ARC_SEGMENT] * 5
+    assert torch.equal(arcs.planned[:, :-SAMPLES_PER_SEGMENT], kept)
+    arcs.extend(torch.arange(5))
     assert arcs.planned_from.tolist() == [3 * ARC_SEGMENT] * 5
-    assert torch.equal(arcs.planned[:, :-SAMPLES_PER_SEGMENT], view.samples.table[:, 3 * SAMPLES_PER_SEGMENT :])
+    assert torch.equal(arcs.planned[:, : -2 * SAMPLES_PER_SEGMENT], kept[:, SAMPLES_PER_SEGMENT:])
     arcs = make_arcs(recording("windows")["ic"][:1], PLANNED_SEGMENTS - 1, backend=backend)
     assert arcs.planned.shape[1] == (PLANNED_SEGMENTS - 1) * SAMPLES_PER_SEGMENT + 1
-    for _ in range(2):
-        arcs.grow()
-        assert arcs.planned.shape[1] == PLANNED_SEGMENTS * SAMPLES_PER_SEGMENT + 1
 
 
 def test_both_arcs_start_where_the_satellite_is(recording, solve_arcs, backend):

@@ -1,6 +1,6 @@
 """Passes of satellites over places on the ground, for all satellites and places of a batch at once.
 
-The search has three stages. A coarse screen compares every place with one sample in sixteen, as a matrix product of unit
+The search has three stages. A coarse screen compares every place with one sample in eight, as a matrix product of unit
 vectors, and drops most pairs. The remaining pairs are classified at every sample, 30 s apart. Crossings of the elevation limit
 are then refined by root finding on an interpolated ground track.
 """

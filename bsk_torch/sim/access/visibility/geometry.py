@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 
-SAMPLES_PER_CELL = 16
+SAMPLES_PER_CELL = 8
 """Samples of a cell, the unit of the coarse screen, which compares only the middle one with all places."""
 
 CLASSIFIED_SAMPLES = SAMPLES_PER_CELL + 2
