@@ -16,8 +16,6 @@ from tests.sim.run.runs import start_of
 from tests.support.elsewhere import NAME, Device
 
 
-
-
 @pytest.mark.parametrize(
     ("function", "waits"),
     [
@@ -54,7 +52,7 @@ def test_waits_are_counted(function, waits):
     ],
 )
 def test_host_and_device_do_not_mix(function, error):
-    with Device(), pytest.raises(error, match="on the host|to the host"):
+    with Device(), pytest.raises(error, match=r"on the host|to the host"):
         function(torch.full((3,), 2.0, device=NAME))
 
 

@@ -111,7 +111,7 @@ class Device(TorchDispatchMode):
             kwargs["device"] = "cpu"
         indices = _pytree.tree_leaves(args[1]) if name.startswith("index") and isinstance(args[1], list | tuple) else []
         others = [leaf for leaf in leaves if not isinstance(leaf, Elsewhere) and leaf.dim()]
-        moved = was_here != is_here and bool(leaves) or (name == "copy_" and bool(others) and was_here)
+        moved = (was_here != is_here and bool(leaves)) or (name == "copy_" and bool(others) and was_here)
         if was_here and others and not moved and not all(any(other is index for index in indices) for other in others):
             raise RuntimeError(f"{func} of tensors on the device and of {[tuple(other.shape) for other in others]} on the host")
         by_mask = any(isinstance(index, Tensor) and index.dtype == torch.bool for index in indices)

@@ -135,7 +135,7 @@ class TickLoop:
         longest: int | None = None,
         **_: object,
     ) -> Tensor:
-        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel; ``longest`` is the most of ``counts``."""
+        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel; ``longest`` is the largest count."""
         runs = counts if present is None else torch.where(present, counts, 0)
         flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)
