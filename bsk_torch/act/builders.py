@@ -48,7 +48,6 @@ class ContinuousBuilder:
     """
 
     n_negative_actions = 0
-    by_index = False
     some_legal = False
 
     def __init__(self, entry: ContinuousAction, satellite: BoundSatellite) -> None:

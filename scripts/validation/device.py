@@ -152,7 +152,9 @@ def speed(preset: str, num_envs: int, options: argparse.Namespace) -> Row:
 
 def training(preset: str, num_envs: int, options: argparse.Namespace) -> Row:
     """Measure a training by the preset's recipe, with environments and learner on the device."""
-    alone = dict(collector="single", workers=1, ahead=False, evaluate_every=0, patience=None, seconds=None, frames=10**12)
+    alone: dict[str, Any] = dict(
+        collector="single", workers=1, ahead=False, evaluate_every=0, patience=None, seconds=None, frames=10**12
+    )
     config = configure(preset, None, num_envs=num_envs, options={"device": str(options.device)}, loggers=("csv",), **alone)
     with tempfile.TemporaryDirectory() as folder:
         training = training_of(config, Path(folder) / "run")

@@ -76,7 +76,7 @@ def chosen(env: Any, td: TensorDictBase, number: int) -> TensorDictBase:
         where = key[:-1] if isinstance(key, tuple) else ()
         mask = td.get((*where, "action_mask"), None)
         if mask is None:
-            low, high = (side.double() for side in env.full_action_spec[key].space)
+            low, high = (side.cpu().double() for side in env.full_action_spec[key].space)
             share = (0.37 * (number + torch.arange(low.numel(), dtype=torch.float64))).view(low.shape) % 1.0
             td[key] = (low + share * (high - low)).to(env.full_action_spec[key].dtype)
         else:

@@ -63,8 +63,8 @@ THREE: dict[str, Any] = {"n_satellites": 3, "n_planes": 1, "phasing": 0}
 CASES: dict[str, tuple[dict[str, Any], int]] = {
     "NadirScan-v1": ({}, 4),
     "AEOS-v1": ({"n_targets": 600}, 3),
-    "Constellation-v1": ({**THREE, "n_targets": 300}, 10),
-    "CWDocking-v1": ({}, 5),
+    "Constellation-v1": ({**THREE, "n_targets": 300}, 11),
+    "CWDocking-v1": ({}, 4),
 }
 """Options, and how often the host waits for the device in a step that needs no further orbits or windows.
 
