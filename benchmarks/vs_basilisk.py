@@ -130,6 +130,7 @@ def own(case: Case) -> Player:
 
 def alone(env: gymnasium.Env[Any, Any]) -> Player:
     """Random actions in one episode at a time."""
+    env.action_space.seed(0)
     env.reset(seed=0)
     while True:
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
