@@ -14,6 +14,7 @@ checkout's; above 1, this checkout is faster. Memory is ``env.bytes_per_env`` an
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import statistics
@@ -64,14 +65,15 @@ def drop_in_case(name: str) -> Case:
 
 def drop_in_player(env: Any) -> Player:
     """Random actions in one episode at a time; a step's simulated seconds are those by which the clock moves."""
-    env.action_space.seed(0)
-    env.reset(seed=0)
+    space, seeds = env.action_space, itertools.count()
+    space.seed(0)
+    env.reset(seed=next(seeds))
     while True:
         before = env.simulator.sim_time
-        *_, terminated, truncated, _ = env.step(env.action_space.sample())
+        *_, terminated, truncated, _ = env.step(space.sample())
         yield Step(env.simulator.sim_time - before, int(terminated or truncated))
         if terminated or truncated:
-            env.reset()
+            env.reset(seed=next(seeds))
 
 
 CASES: dict[str, Case] = {

@@ -1,4 +1,4 @@
-"""Check environments on a device of torch, such as a GPU, beside the host, and measure them there.
+"""Check environments on a device of torch, such as a GPU, against the host, and measure them there.
 
     python scripts/validation/device.py --device cuda --out benchmarks/results/device.json
     python scripts/validation/device.py --device cpu --presets CWDocking-v1 --batches 4 --rows 2 --seconds 0.1
@@ -119,7 +119,7 @@ def parity(preset: str, backend: str, options: argparse.Namespace) -> Row:
 
 
 def independence(preset: str, options: argparse.Namespace) -> Row:
-    """Compare the first row of a batch with an environment of its own."""
+    """Compare the first row of a batch with a separate environment."""
     envs = [made(preset, rows, options.device, backend="eager") for rows in (options.rows, 1)]
     worst, key = together(envs, [slice(0, 1), slice(0, 1)])
     return {"difference": worst, "entry": key, "agrees": worst == 0.0}
@@ -213,7 +213,7 @@ def main() -> None:
         else:
             try:
                 row |= do()
-            except Exception as error:  # a row of its own; the next ones are measured all the same
+            except Exception as error:  # is in the row; the next ones are measured all the same
                 row["failed"] = f"{type(error).__name__}: {error}"[:500]
             row["wall_s"] = time.perf_counter() - begin
         rows.append(row)
