@@ -74,7 +74,11 @@ def main() -> None:
     arguments = harness.parser(__doc__, tasks=["scan"], batches=[4096, 1], seconds=20.0)
     options, described = harness.begin(arguments)
     cases = [(task, batch) for task in options.tasks for batch in options.batches]
-    rows = [row for task, batch in cases for row in shares(task, batch, options.seconds, harness.warm_up(options, task))]
+    rows = harness.Rows(
+        options,
+        described,
+        (row for task, batch in cases for row in shares(task, batch, options.seconds, harness.warm_up(options, task))),
+    )
     print(harness.table(COLUMNS, [row for row in rows if "part" in row]))
     harness.write(options, described, rows=rows)
 

@@ -80,7 +80,7 @@ def main() -> None:
         backend="compiled",
     )
     options, described = harness.begin(arguments)
-    rows: list[dict[str, Any]] = []
+    rows = harness.Rows(options, described)
     for preset in options.only:
         for rule in options.rules:
             silent = None

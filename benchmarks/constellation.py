@@ -116,7 +116,7 @@ def main() -> None:
     arguments.add_argument("--most", type=int, default=16, help="satellites that Basilisk flies at most")
     arguments.add_argument("--modes", nargs="+", choices=MODES, default=list(MODES))
     options, described = harness.begin(arguments)
-    table = []
+    table = harness.Rows(options, described)
     for mode in options.modes:
         turns: dict[int, list[tuple[Turn, Turn | None]]] = {}
         for size, ours, theirs in turns_of(mode, options.satellites, options.rows, options.basilisk, options):

@@ -8,13 +8,14 @@ evenly, and resets come at a steady rate.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import platform
 import statistics
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -168,6 +169,30 @@ def write(options: argparse.Namespace, described: dict[str, Any], **results: Any
     if options.out:
         content = {"machine": described, "options": given(options), **results}
         options.out.write_text(json.dumps(content, indent=1, default=str) + "\n")
+
+
+class Rows(list[dict[str, Any]]):
+    """Rows of results; each is in the user's file, marked as unfinished, as soon as it is measured: a run may be cut off."""
+
+    def __init__(self, options: argparse.Namespace, described: dict[str, Any], rows: Iterable[dict[str, Any]] = ()) -> None:
+        """Begin with ``rows``, which may be measured one by one."""
+        super().__init__()
+        self._write = functools.partial(write, options, described, unfinished=True)
+        self.extend(rows)
+
+    def append(self, row: dict[str, Any]) -> None:
+        """Add a row and write all."""
+        super().append(row)
+        self._write(rows=self)
+
+    def extend(self, rows: Iterable[dict[str, Any]]) -> None:
+        """Add rows one by one."""
+        for row in rows:
+            self.append(row)
+
+    def __iadd__(self, rows: Iterable[dict[str, Any]]) -> Rows:  # type: ignore[override, misc]
+        self.extend(rows)
+        return self
 
 
 def given(options: argparse.Namespace) -> dict[str, Any]:

@@ -145,7 +145,7 @@ def main() -> None:
     arguments.add_argument("--basilisk", metavar="PYTHON", help="interpreter with bsk and bsk_rl")
     arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))
     options, described = harness.begin(arguments)
-    rows = [measure(name, options) for name in options.only]
+    rows = harness.Rows(options, described, (measure(name, options) for name in options.only))
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 

@@ -182,7 +182,7 @@ def main() -> None:
     parsed.add_argument("--profile", type=Path, metavar="FILE.json", help=f"default {PROFILE.name} of the results")
     options, described = harness.begin(parsed)
     torch.manual_seed(0)
-    rows = [row for case in options.cases for row in rows_of(case, options)]
+    rows = harness.Rows(options, described, (row for case in options.cases for row in rows_of(case, options)))
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 

@@ -102,7 +102,7 @@ def main() -> None:
         __doc__, batches=[1024, 64, 1], targets=1000, rounds=20, drift=100.0, orbits=["arc", "integrated"], backend="compiled"
     )
     options, described = harness.begin(arguments)
-    rows = []
+    rows = harness.Rows(options, described)
     for batch in options.batches:
         for orbit, replan in (way for way in WAYS if way[0] in options.orbits):
             env = make_env(batch, options.targets, options.backend, orbit=orbit, replan=replan)

@@ -135,7 +135,7 @@ def main() -> None:
         figure="",
     )
     options, described = harness.begin(arguments)
-    rows = [row for targets in options.targets for row in rows_of(options, targets)]
+    rows = harness.Rows(options, described, (row for targets in options.targets for row in rows_of(options, targets)))
     print(harness.table(COLUMNS, rows))
     if options.figure:
         draw(rows, Path(options.figure))

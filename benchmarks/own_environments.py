@@ -227,7 +227,7 @@ def main() -> None:
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     PRESETS.update(ENVIRONMENTS)
-    rows = [measure(name, options) for name in options.only]
+    rows = harness.Rows(options, described, (measure(name, options) for name in options.only))
     columns = {
         "environment": "{name}",
         "time limit, s": "{limit:,.0f}",

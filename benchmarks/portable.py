@@ -84,7 +84,9 @@ def main() -> None:
     if options.serve:
         serve(options.serve, options.batch, options.steps)
         return
-    rows = [measure(task, options.batch, options.steps, options.turns) for task in options.tasks]
+    rows = harness.Rows(
+        options, described, (measure(task, options.batch, options.steps, options.turns) for task in options.tasks)
+    )
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 

@@ -70,7 +70,7 @@ def main() -> None:
     """Measure and print the table."""
     arguments = harness.parser(__doc__, tasks=["scan"], batches=[64, 4096], every=[1, 10], steps=8, rounds=3)
     options, described = harness.begin(arguments)
-    rows = []
+    rows = harness.Rows(options, described)
     for task in options.tasks:
         for batch in options.batches:
             for count in sorted({1, batch}):

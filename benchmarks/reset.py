@@ -121,7 +121,7 @@ def main() -> None:
     """Measure and print two tables."""
     arguments = harness.parser(__doc__, tasks=["scan"], batch=4096, rows=[1, 16, 1024], rounds=3, shares=[4096, 64], seconds=20.0)
     options, described = harness.begin(arguments)
-    rows, shares = [], []
+    rows, shares = harness.Rows(options, described), []
     for task in options.tasks:
         rows += resets(task, options.batch, options.rows, options.rounds)
         shares += [share(task, batch, options.seconds, harness.warm_up(options, task)) for batch in options.shares]

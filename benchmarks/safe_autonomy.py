@@ -157,7 +157,7 @@ def main() -> None:
     arguments.add_argument("--original", help="interpreter with safe-autonomy-sims")
     arguments.add_argument("--time-limit", type=float, help="s, default that of the preset")
     options, described = harness.begin(arguments)
-    rows = []
+    rows = harness.Rows(options, described)
     for policy in options.policies:
         for name in options.filters:
             row = {"preset": options.preset, "policy": called(policy), "filter": name} | summary(play(policy, name, options))

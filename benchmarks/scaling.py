@@ -140,7 +140,7 @@ def main() -> None:
         "--layouts", nargs="+", choices=LAYOUTS, default=list(LAYOUTS), help="ways to split, of the second table"
     )
     options, described = harness.begin(arguments)
-    rows, split = [], []
+    rows, split = harness.Rows(options, described), []
     for task in options.tasks:
         times = options.seconds, harness.warm_up(options, task)
         rows += batches(task, options.batches, *times)

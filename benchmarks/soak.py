@@ -140,7 +140,9 @@ def main() -> None:
     """Play the cases and print a table."""
     arguments = harness.parser(__doc__, cases=list(CASES), scale=1.0)
     options, described = harness.begin(arguments)
-    rows = [row for name in options.cases for row in harness.in_processes(1, measure, name, options.scale)[0]]
+    rows = harness.Rows(
+        options, described, (row for name in options.cases for row in harness.in_processes(1, measure, name, options.scale)[0])
+    )
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 

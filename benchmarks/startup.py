@@ -61,7 +61,7 @@ def main() -> None:
     arguments = harness.parser(__doc__, tasks=["scan"], batches=[1, 4096], dtypes=["float64", "float32"], warm=3)
     arguments.add_argument("--backend", choices=["compiled", "eager"], default="compiled")
     options, described = harness.begin(arguments)
-    rows = []
+    rows = harness.Rows(options, described)
     for case in product(options.tasks, options.batches, options.dtypes):
         rows += cold_and_warm(*case, options.backend, options.warm)
         print(harness.table(COLUMNS, rows[-2:]), flush=True)

@@ -37,7 +37,9 @@ def main() -> None:
     parsed = harness.parser(__doc__, cases=cases, seconds=20.0, num_envs=0)
     options, described = harness.begin(parsed)
     torch.manual_seed(0)
-    rows = [row for case in options.cases for row in profile(case, options.seconds, options.num_envs)]
+    rows = harness.Rows(
+        options, described, (row for case in options.cases for row in profile(case, options.seconds, options.num_envs))
+    )
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 

@@ -110,22 +110,27 @@ class OwnSatellite(ScanningSatellite):
     )
 
 
-def own(case: Case) -> Player:
-    """Random actions, through Gymnasium's interface, with custom properties in torch."""
-    core = bsk_torch.SatelliteTasking(
+def own_env(batch: int) -> bsk_torch.SatelliteTasking:
+    """Scanning with custom properties in torch."""
+    return bsk_torch.SatelliteTasking(
         OwnSatellite("Scanner1", scanning_args()),
         scenario=scene.UniformNadirScanning(value_per_second=1 / harness.EPISODE),
         rewarder=data.ScanningTimeReward(),
-        time_limit=harness.EPISODE,
         failure_penalty=-1.0,
         terminate_on_time_limit=True,
-        num_envs=case.batch,
+        num_envs=batch,
+        time_limit=harness.EPISODE if batch == 1 else harness.Staggered(batch),
     )
-    return alone(GymEnv(core))
+
+
+def own(case: Case) -> Player:
+    """Random actions, through Gymnasium's interface, with custom properties in torch."""
+    return alone(GymEnv(own_env(case.batch)))
 
 
 def alone(env: gymnasium.Env[Any, Any]) -> Player:
     """Random actions in one episode at a time."""
+    env.action_space.seed(0)
     env.reset(seed=0)
     while True:
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
@@ -221,7 +226,7 @@ def main() -> None:
     arguments.add_argument("--basilisk", metavar="PYTHON", help="interpreter with bsk and bsk_rl")
     arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))
     options, described = harness.begin(arguments)
-    rows = []
+    rows = harness.Rows(options, described)
     for name in options.only:
         steps = harness.warm_up(options, CASES[name].task)
         turns, ready = measure(CASES[name], options.basilisk, options.turns, options.seconds, steps)

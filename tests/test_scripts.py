@@ -48,6 +48,9 @@ benchmarks/clouds.py --frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limi
   compiled: (?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| .*\| moving \| repeats \| [\d.]+ \|[ ]
 benchmarks/compare.py --base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1
   compiled: \| 1 \| \d+ \| .* \| True \|
+benchmarks/compare.py --base {root} --only gymnasium make --turns 1 --processes 1
+    --seconds 0.1 --warm-up 1 --out rows.json
+  compiled: (?s)\| gymnasium \| .* \| True \|.*\| make \| 1 \| .* \| - \|
 benchmarks/communication.py --episodes 2 --time-limit 900
   compiled: (?s)\| none \| [\d.]+ .*\| with all \| [\d.]+ \+- [\d.]+ \| [+-][\d.]+[ ]
 benchmarks/constellation.py --satellites 1 2 --rows 2 --turns 1 --modes tasks
@@ -205,6 +208,9 @@ scripts/tools/make_tables.py --samples --out .
   basilisk: largest position error 0.49
 scripts/validation/truth.py --only spinning --out truth.json
   compiled: spinning \(models\): .* equal: True; beyond their bounds: \[\]
+scripts/validation/device.py --device cpu --presets CWDocking-v1 --measured CWDocking-v1 --batches 2 --rows 2 --seconds 0.1
+    --out device.json
+  compiled: (?s)parity case=CWDocking-v1 .*agrees=True.*independence .*agrees=True.*speed .*part=training .*decisions_per_s=\d
 scripts/validation/mutants.py --check
   compiled: 40 faults
 scripts/validation/inspect_on_basilisk.py survey --seeds 1:2 --time-limit 1300 --backend eager --out out.json

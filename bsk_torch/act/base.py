@@ -164,6 +164,7 @@ class Action(Entry):
 
     n_actions: int = 1
     first_is_legal: bool = False
+    by_index: bool = True  # whether some of the checked actions may be negative
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
@@ -293,6 +294,8 @@ class ActionBuilder:
         n, negative, action = self.n_actions, self.n_negative_actions, action.to(torch.int64, copy=True)
         action = action if acts is None else torch.where(acts, action, 0)
         low, high = torch.stack(torch.aminmax(action)).tolist()
+        if negative:  # of some row: the entry need not ask the device again
+            self.entries[self._takes_negative].by_index = low < 0
         if low < -negative or high >= n:
             row = int(torch.nonzero((action < -negative) | (action >= n))[0])
             names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.description))

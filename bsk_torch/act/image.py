@@ -133,7 +133,7 @@ class Image(CandidateAction):
         same = windows.place == target.unsqueeze(-1)  # the target's first window may come before the chosen one
         opens, close = (torch.where(same, time, torch.inf).amin(1) for time in (windows.open, windows.close))
         by_index = mask & (action < 0)
-        if bool(by_index.any()):
+        if self.by_index and bool(by_index.any()):
             target = torch.where(by_index, -1 - action, target)
             window = self.satellite.window_of(torch.where(by_index, target, 0), self.kind)
             why = "which has already been imaged, does not exist, or has no known window"

@@ -34,7 +34,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         super()._join(fleet, type_index)
         self.access_windows = cast(AccessWindows, self.simulator.access)
         self.access_filters = [access_filter.bound(self.opportunity_types) for access_filter in self.access_filters]
-        self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
+        self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities, bool]] = {}
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
         models = self.dynamics, self.fsw
         self._geometry = [[model for model in models if hasattr(type(model), name)][:1] for name in SATELLITE_PROPERTIES]
@@ -112,7 +112,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         may_see_nothing = self.may_see_nothing if may_see_nothing is None else may_see_nothing
         now = self.simulator.state.version, self.memory.version
         entry = self._cache.get((kind, n)) if plain else None
-        if entry is not None and entry[0] == now and (count is None or bool((entry[1].found >= count).all())):
+        if entry is not None and entry[0] == now and (count is None or entry[2] or bool((entry[1].found >= count).all())):
             return entry[1] if pad else self._complete(entry[1])
         wanted = count
         if self.removed is not None:
@@ -133,7 +133,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             windows = Windows(opens, close, torch.where(some, windows.place, 0))
         opportunities = Opportunities(*windows, self.positions(kind, windows.place), counts).of(self, kind)
         if count is None and plain and may_see_nothing == self.may_see_nothing:
-            self._cache[(kind, n)] = now, opportunities
+            self._cache[(kind, n)] = now, opportunities, wanted is None and simulator.lookahead.all_offered
         return opportunities if pad else self._complete(opportunities)
 
     def _accepted(self, filter: object, kind: str) -> Tensor:

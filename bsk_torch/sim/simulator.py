@@ -449,11 +449,13 @@ class Simulator:
             if may_rewind:
                 self._reach(ticks, rows, present)
             return self._run_in_pieces(ticks, most, trace, followed, rows)
-        self._reach(ticks, rows, present)
+        longest = self._reach(ticks, rows, present)
         planes = state.planes if rows is None else state.planes[:, rows]
         written = None if trace is None else trace.table[:, 1:]
-        flown = self.runners.run(planes, ticks, expected_ticks=expected, written=written, **self._inputs(followed, rows, present))
-        many = isinstance(self.runners.run, TickLoop) and self.runners.run.ticks_run > MANY_TICKS
+        inputs, run = self._inputs(followed, rows, present), self.runners.run
+        known: dict[str, Any] = {"longest": longest} if isinstance(run, TickLoop) else {}
+        flown = run(planes, ticks, expected_ticks=expected, written=written, **inputs, **known)
+        many = isinstance(run, TickLoop) and run.ticks_run > MANY_TICKS
         if many and self.type.options.backend == "eager" and self.type.arguments.is_new("eager"):
             logger.warning(EAGER, MANY_TICKS)
         passed = flown if present is None else torch.where(present, flown, 0)
@@ -488,17 +490,22 @@ class Simulator:
         present = self.present
         return present if present is None or rows is None else present[rows]
 
-    def _reach(self, ticks: Tensor, rows: Tensor | None, present: Tensor | None) -> None:
-        """Solve arcs as far as runs of ``rows`` by ``ticks`` [n] may go; of satellites that are not present, to now."""
+    def _reach(self, ticks: Tensor, rows: Tensor | None, present: Tensor | None) -> int:
+        """Solve arcs as far as runs of ``rows`` by ``ticks`` [n] may go; of satellites that are not present, to now.
+
+        Return the most ticks of a row that is present. This is all that a run has to know of a device, read at once.
+        """
         state = self.state
         further = ticks if present is None else torch.where(present, ticks, 0)
         if rows is not None:
             further = torch.zeros_like(state.ticks).index_copy(0, rows, further)
         now = state.sim_time
         time = now + further.double() * state.h
-        self.lookahead.reach_in_flight(time, now)
+        longest, *short = torch.stack([further.max(), *self.lookahead.short_of(time)]).tolist()
+        self.lookahead.reach_in_flight(time, now, short)
         for source in self.sources.values():
             source.reach(time)
+        return int(longest)
 
     def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None, present: Tensor | None) -> RunInputs:
         """Return what a run of ``rows`` [n], or all, reads apart from their fields; ``followed`` are traces of these rows."""

@@ -48,7 +48,7 @@ class Made(TorchDispatchMode):
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         result = func(*args, **(kwargs or {}))
         if self._has(result) and not self._has((args, kwargs)):
-            line = self._line()
+            line = line_of_package(1)
             if line is not None:
                 self.found[f"{line}: {func}"] += 1
         return result
@@ -56,18 +56,18 @@ class Made(TorchDispatchMode):
     def _has(self, tree: Any) -> bool:
         return any(isinstance(leaf, Tensor) and leaf.dtype == self.dtype for leaf in _pytree.tree_leaves(tree))
 
-    @staticmethod
-    def _line() -> str | None:
-        """The line of the package, None for what TorchRL makes in between, such as the blank values of specs."""
-        frame: Any = sys._getframe(2)
-        while frame is not None:
-            file = frame.f_code.co_filename
-            if "/torchrl/" in file or "/tensordict/" in file:
-                return None
-            if "/bsk_torch/" in file:
-                return f"{file.rpartition('/bsk_torch/')[2]}:{frame.f_lineno}"
-            frame = frame.f_back
-        return None
+
+def line_of_package(depth: int) -> str | None:
+    """The line of the package, None for what TorchRL makes in between, such as the blank values of specs."""
+    frame: Any = sys._getframe(depth + 1)
+    while frame is not None:
+        file = frame.f_code.co_filename
+        if "/torchrl/" in file or "/tensordict/" in file:
+            return None
+        if "/bsk_torch/" in file:
+            return f"{file.rpartition('/bsk_torch/')[2]}:{frame.f_lineno}"
+        frame = frame.f_back
+    return None
 
 
 def chosen(env: Any, td: TensorDictBase, number: int) -> TensorDictBase:
@@ -76,7 +76,7 @@ def chosen(env: Any, td: TensorDictBase, number: int) -> TensorDictBase:
         where = key[:-1] if isinstance(key, tuple) else ()
         mask = td.get((*where, "action_mask"), None)
         if mask is None:
-            low, high = (side.double() for side in env.full_action_spec[key].space)
+            low, high = (side.cpu().double() for side in env.full_action_spec[key].space)
             share = (0.37 * (number + torch.arange(low.numel(), dtype=torch.float64))).view(low.shape) % 1.0
             td[key] = (low + share * (high - low)).to(env.full_action_spec[key].dtype)
         else:

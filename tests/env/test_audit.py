@@ -1,74 +1,19 @@
-"""What a step asks of the device: the host may wait for it a few times in a step, and never in a tick.
+"""What runs on a device: the numbers are those of the host, and the host waits a few times in a step, and never in a tick.
 
-Measured in a step of NadirScan-v1, whatever the size of the batch: ``WAITS``. A loop of ticks waits once, to read the longest
-duration; each number of a tick depends on tensors only.
+No machine of these tests has a GPU, so the device is one that :mod:`tests.support.elsewhere` makes up.
 """
 
-from collections import Counter
+from typing import Any
 
 import pytest
 import torch
 from torch.fx.experimental.proxy_tensor import make_fx
-from torch.overrides import TorchFunctionMode
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import bsk_torch
 from bsk_torch.sim.tick.runners import TickLoop
+from tests.env.default_dtype import chosen
 from tests.sim.run.runs import start_of
-
-WAITS = 5
-"""Waits of a step: are all actions legal, do the arcs reach (twice), how long is the longest duration, who lacks a window."""
-
-READS = {"_local_scalar_dense", "equal", "is_nonzero", "nonzero", "masked_select", "_unique2", "unique_dim", "unique_consecutive"}
-"""Operators whose result, or its shape, the host has to know."""
-
-COPIES = {torch.Tensor.cpu, torch.Tensor.tolist, torch.Tensor.numpy}
-"""Calls that copy to the host, which no operator shows where the device is the host."""
-
-
-class Audit(TorchDispatchMode):
-    """Lists the operators that run, with the shapes of their results, and counts the ``waits`` among them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.waits: Counter[str] = Counter()
-        self.ran: list[tuple[str, tuple[int, ...]]] = []
-        self.copies = Copies(self.waits)
-
-    def __enter__(self):
-        self.copies.__enter__()
-        return super().__enter__()
-
-    def __exit__(self, *error):
-        super().__exit__(*error)
-        self.copies.__exit__(*error)
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        name, kwargs = func.overloadpacket.__name__, kwargs or {}
-        by_mask = name.startswith("index") and any(
-            getattr(index, "dtype", None) == torch.bool for part in args[1:2] if isinstance(part, list | tuple) for index in part
-        )
-        uneven = name == "repeat_interleave" and kwargs.get("output_size") is None
-        moved = name == "_to_copy" and torch.device(kwargs.get("device") or "meta").type == "cpu"
-        if name in READS or by_mask or uneven or moved:
-            self.waits[name] += 1
-        result = func(*args, **kwargs)
-        if isinstance(result, torch.Tensor):
-            self.ran.append((name, tuple(result.shape)))
-        return result
-
-
-class Copies(TorchFunctionMode):
-    """Counts copies to the host."""
-
-    def __init__(self, waits: Counter[str]) -> None:
-        super().__init__()
-        self.waits = waits
-
-    def __torch_function__(self, func, types, args=(), kwargs=None):
-        if func in COPIES:
-            self.waits[func.__name__] += 1
-        return func(*args, **(kwargs or {}))
+from tests.support.elsewhere import NAME, Device
 
 
 @pytest.mark.parametrize(
@@ -80,59 +25,106 @@ class Copies(TorchFunctionMode):
         (lambda x: x.index_put_((x > 0,), x.new_zeros(())), 1),
         (torch.nonzero, 1),
         (lambda x: torch.equal(x, x), 1),
-        (lambda x: x.repeat_interleave(torch.tensor([1, 2, 3])), 1),
+        (lambda x: x.repeat_interleave(x.long()), 1),
         (lambda x: x.cpu(), 1),
         (lambda x: x.tolist(), 1),
-        (lambda x: torch.where(x > 0, x, -x)[torch.tensor([0, 1])].repeat_interleave(2).double(), 0),
+        (lambda x: torch.tensor([1.0], device=x.device), 1),
+        (lambda x: x.new_tensor([1.0]), 1),
+        (lambda x: x.copy_(torch.zeros(3)), 1),
+        (lambda x: x[torch.tensor([0, 1])], 1),
+        (lambda x: torch.zeros(3)[torch.zeros(3) > 0].tolist(), 0),
+        (lambda x: torch.where(x > 0, x, -x)[torch.arange(2, device=x.device)].repeat_interleave(2).double() + 1.0, 0),
     ],
 )
-def test_the_audit_sees_waits(function, waits):
-    with Audit() as audit:
-        function(torch.arange(3.0))
-    assert sum(audit.waits.values()) == waits, audit.waits
+def test_waits_are_counted(function, waits):
+    with Device() as device:
+        function(torch.full((3,), 2.0, device=NAME))
+        assert sum(device.waits.values()) == waits, device.waits
 
 
-@pytest.fixture(scope="module", params=[4, 64])
-def started(request):
-    """An environment, and what has been seen of it after a reset."""
-    env = bsk_torch.make("NadirScan-v1", num_envs=request.param, seed=4, backend="eager", max_step_duration=20.0)
-    return env, env.reset()
+@pytest.mark.parametrize(
+    ("function", "error"),
+    [
+        (lambda x: x + torch.zeros(3), RuntimeError),
+        (lambda x: torch.cat([x, torch.zeros(1)]), RuntimeError),
+        (lambda x: x.numpy(), TypeError),
+        (lambda x: x.data_ptr(), TypeError),
+    ],
+)
+def test_host_and_device_do_not_mix(function, error):
+    with Device(), pytest.raises(error, match=r"on the host|to the host"):
+        function(torch.full((3,), 2.0, device=NAME))
 
 
-@pytest.mark.nightly("64")
-def test_a_step_waits_for_the_device_a_few_times(started):
-    """After the first step, which checks tables of actions."""
-    env, td = started
-    td = env.step(td.set("action", torch.arange(len(td)) % 4))["next"]
-    for _ in range(3):
-        with Audit() as audit:
-            td = env.step(td.set("action", torch.arange(len(td)) % 4))["next"]
-        assert sum(audit.waits.values()) == WAITS, audit.waits
+SHORT: dict[str, Any] = {"max_step_duration": 5.0, "time_limit": 600.0}
+
+THREE: dict[str, Any] = {"n_satellites": 3, "n_planes": 1, "phasing": 0}
+
+CASES: dict[str, tuple[str, int, dict[str, Any], int]] = {
+    "4": ("NadirScan-v1", 4, {}, 4),
+    "64": ("NadirScan-v1", 64, {}, 4),
+    "AEOS-v1": ("AEOS-v1", 3, {"n_targets": 600}, 3),
+    "Constellation-v1": ("Constellation-v1", 3, {**THREE, "n_targets": 300}, 11),
+    "CWDocking-v1": ("CWDocking-v1", 3, {}, 4),
+}
+"""Preset, environments, options, and how often the host waits for the device in a step that needs no further orbits or windows.
+
+It reads the range of the actions; with the longest run, whether all arcs are long enough; whether eclipses and windows are known.
+"""
 
 
-@pytest.mark.nightly("64")
-def test_ticks_never_wait_and_never_change_shape(started):
-    simulator = started[0].simulator
-    seen, inside = [], []
+def played(preset: str, steps: int, num_envs: int, used: Device | None, **options: Any) -> list[dict[str, torch.Tensor]]:
+    """What the steps of some episodes return, on the host, and ``waits`` of each step."""
+    env: Any = bsk_torch.make(preset, num_envs=num_envs, seed=4, **SHORT, **options)
+    td, steps_seen = env.reset(), []
+    for number in range(steps):
+        actions = chosen(env, td.to("cpu"), number).to(env.device)
+        if used is not None:
+            used.waits.clear()
+        td = env.step(actions)["next"]
+        waits = {} if used is None else dict(used.waits)
+        steps_seen.append({"waits": waits, **{str(key): value.cpu() for key, value in td.items(True, True)}})
+    return steps_seen
 
-    def step(*tensors):
-        with Audit() as audit:
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_step_waits_for_the_device_a_few_times(case):
+    """And its numbers are those of the host."""
+    preset, num_envs, options, waits = CASES[case]
+    with torch.no_grad():
+        expected = played(preset, 4, num_envs, None, backend="eager", **options)
+        with Device() as device:
+            found = played(preset, 4, num_envs, device, device=NAME, **options)
+    for one, other in zip(found, expected, strict=True):
+        differing = [name for name in one if name != "waits" and not torch.equal(one[name], other[name])]
+        assert one.keys() == other.keys()
+        assert not differing
+    assert min(sum(step["waits"].values()) for step in found) == waits, [step["waits"] for step in found]
+
+
+@pytest.mark.parametrize("num_envs", [4, 64])
+def test_ticks_never_wait_and_never_change_shape(num_envs):
+    with torch.no_grad(), Device() as device:
+        env = bsk_torch.make("NadirScan-v1", num_envs=num_envs, seed=4, device=NAME, **SHORT)
+        env.reset()
+        simulator, ticks_seen = env.simulator, []
+
+        def step(*tensors):
+            device.ran.clear()
             result = simulator.tick.step(*tensors)
-        seen.append(audit.ran)
-        inside.append(sum(audit.waits.values()))
-        return result
+            ticks_seen.append(list(device.ran))
+            return result
 
-    for ticks in (5, 50):
-        start, counts = start_of(simulator), torch.arange(simulator.num_envs) % ticks
-        counts[-1] = ticks
-        seen.clear()
-        with Audit() as audit:
-            start.run(TickLoop(simulator.tick.step), counts)
-        assert audit.waits == {"_local_scalar_dense": 1}, f"{ticks} ticks"
-        start_of(simulator).run(TickLoop(step), counts)
-        assert len(seen) == ticks
-        assert all(ran == seen[0] for ran in seen), "a tick ran other operators, or on other shapes"
-        assert not any(inside)
+        for ticks in (3, 12):
+            counts = torch.arange(num_envs, device=NAME) % ticks
+            counts[-1] = ticks
+            ticks_seen.clear()
+            start = start_of(simulator)
+            device.waits.clear()
+            start.run(TickLoop(step), counts)
+            assert sum(device.waits.values()) == 1, f"{ticks} ticks"  # the longest
+            assert len(ticks_seen) == ticks
+            assert all(ran == ticks_seen[0] for ran in ticks_seen), "a tick ran other operators, or on other shapes"
 
 
 def test_a_tick_does_not_look_at_its_data():

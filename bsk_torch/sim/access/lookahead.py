@@ -94,6 +94,7 @@ class LookAhead(StateTable):
         if separate:
             self.add("flight", self.flight)
         self.live = True
+        self.all_offered = False  # whether the latest query saw as many windows in every row as it asked for
 
     # -- rows ---------------------------------------------------------------------------------------------------------
 
@@ -176,15 +177,22 @@ class LookAhead(StateTable):
         """
         self._reach(self.arcs, time, now)
 
-    def reach_in_flight(self, time: Tensor, now: Tensor) -> None:
-        """Make every arc that ticks fly on, and those of look-ahead, cover flights up to ``time`` [N] s.
+    @property
+    def _flown(self) -> tuple[Arcs, ...]:
+        return (self.arcs,) if self.flight is self.arcs else (self.arcs, self.flight)
 
-        Ticks interpolate between nodes on both sides of the time, so arcs reach further. ``now`` [N] s is the present.
+    def short_of(self, time: Tensor) -> list[Tensor]:
+        """Return whether some arcs end before flights up to ``time`` [N] s do, for the arcs of look-ahead and those of flights.
+
+        Ticks interpolate between nodes on both sides of the time, so arcs reach further.
         """
-        around = time + REACH_AROUND
-        for arcs in (self.arcs,) if self.flight is self.arcs else (self.arcs, self.flight):
-            if not bool((around <= arcs.end).all()):
-                self._reach(arcs, torch.where(time > now, around, time), now)
+        return [(time + REACH_AROUND > arcs.end).any() for arcs in self._flown]
+
+    def reach_in_flight(self, time: Tensor, now: Tensor, short: Sequence[object]) -> None:
+        """Make the arcs that are ``short_of`` a ``time`` [N] s cover flights up to it; ``now`` [N] s is the present."""
+        for arcs, lacks in zip(self._flown, short, strict=True):
+            if lacks:
+                self._reach(arcs, torch.where(time > now, time + REACH_AROUND, time), now)
 
     def _reach(self, arcs: Arcs, time: Tensor, now: Tensor) -> None:
         if bool((time <= arcs.end).all()):
@@ -345,7 +353,8 @@ class LookAhead(StateTable):
             self._search_certain(kind, time, torch.where(wanted > 0, wanted.clamp(min=width), 0), allowed)
         windows, offered = access.next(kind, time, width, allowed)
         few = offered < (width if count is None else count)
-        if not bool(few.any()):
+        self.all_offered = not bool(few.any())
+        if self.all_offered:
             return windows, offered
         short, wanted = torch.nonzero(few).squeeze(-1), torch.full_like(offered, width) if count is None else count
         # a step may have been longer than all searched before it

@@ -132,14 +132,15 @@ class TickLoop:
         lockstep: int = 1,
         written: Tensor | None = None,
         present: Tensor | None = None,
+        longest: int | None = None,
         **_: object,
     ) -> Tensor:
-        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
+        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel; ``longest`` is the largest count."""
         runs = counts if present is None else torch.where(present, counts, 0)
         flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)
         planes = state
-        longest = int(runs.max())
+        longest = int(runs.max()) if longest is None else longest
         self.ticks_run += longest
         for k in range(longest):
             if self.stops and k and k % CHECK_EVERY == 0 and not bool((now < end).any()):

@@ -60,7 +60,8 @@ def flight(env, row, begin, end, step=1.0):
     """Times, s, and positions [K, 3] in N, m, on the orbit that is flown."""
     simulator = env.simulator
     now = simulator.sim_time
-    simulator.lookahead.reach_in_flight(torch.full_like(now, end + 600.0), now)
+    time = torch.full_like(now, end + 600.0)
+    simulator.lookahead.reach_in_flight(time, now, simulator.lookahead.short_of(time))
     time = torch.arange(begin, end, step, dtype=torch.float64)
     return time, flown_positions(simulator.arcs, torch.full(time.shape, row), time, False)
 
