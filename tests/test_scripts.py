@@ -48,7 +48,7 @@ benchmarks/clouds.py --frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limi
   compiled: (?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| .*\| moving \| repeats \| [\d.]+ \|[ ]
 benchmarks/compare.py --base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1
   compiled: \| 1 \| \d+ \| .* \| True \|
-benchmarks/compare.py --base {root} --only gymnasium make --turns 1 --processes 1
+benchmarks/compare.py --base {root} --only make --turns 1 --processes 1
     --seconds 0.1 --warm-up 1 --out rows.json
   compiled: (?s)\| gymnasium \| .* \| True \|.*\| make \| 1 \| .* \| - \|
 benchmarks/communication.py --episodes 2 --time-limit 900
