@@ -67,7 +67,8 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
     """
     pairs = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
     moved = asked & (fleet.ticks > fleet.since)
-    if fleet.size < 2 or not bool(moved.any()):
+    envs = torch.nonzero(moved).squeeze(-1)
+    if fleet.size < 2 or not len(envs):
         return pairs
     _check_covered(fleet, asked)
     span = fleet.since, torch.maximum(fleet.ticks - 1, fleet.since)
@@ -75,7 +76,7 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
         seen = _seen_by_kernel(fleet, moved, span)
         return seen if directed else seen | seen.mT
     search = make_search(fleet, *span)
-    for some in torch.nonzero(moved).squeeze(-1).split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
+    for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
         pairs[some] = search.visible_pairs(some, directed)
     return pairs
 

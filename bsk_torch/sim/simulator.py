@@ -97,6 +97,7 @@ class Simulator:
         self.scenario_state = DrawTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform, self.records = satellite_type.uniform, bool(self.tick.recorded)
+        self._recorded_planes = torch.tensor(self.tick.recorded_planes, dtype=torch.int64, device=self.device)
         self._endings = [name for name in ENDINGS if name in self.tick.state.fields]
         self.has_events = bool(self._endings)
         self.ends_apart = self.has_events and not self.stops
@@ -416,7 +417,7 @@ class Simulator:
         state = self.state
         trace = Trace.room(self.tick.recorded, state.ticks if rows is None else state.ticks[rows], ticks)
         planes = state.planes if rows is None else state.planes[:, rows]
-        trace.table[:, 0] = planes[self.tick.recorded_planes].mT
+        trace.table[:, 0] = planes[self._recorded_planes].mT
         return trace
 
     def run(

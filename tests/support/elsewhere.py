@@ -140,6 +140,8 @@ class Calls(TorchFunctionMode):
             return args[0].cpu().tolist()
         if here and func is Tensor.new_tensor:
             return torch.tensor(*args[1:], **{"dtype": args[0].dtype, **kwargs}).to(NAME)
+        if here and func is Tensor.__getitem__ and isinstance(args[1], list):
+            return args[0][torch.tensor(args[1]).to(NAME)]  # a copy each time, so a wait
         target = kwargs.get("device")
         if func in (torch.tensor, torch.as_tensor) and not here and target is not None and torch.device(target).type == NAME:
             return func(*args, **{**kwargs, "device": "cpu"}).to(NAME)  # the real one would have no values

@@ -78,7 +78,8 @@ def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int =
     step: Callable[..., Any] = tick.step
     if backend == "compiled":
         step = just_in_time(step, "tick")
-    return Runners(TickLoop(step, tick.stops, tick.recorded_planes), FirstTick(tick))
+    recorded = torch.tensor(tick.recorded_planes, dtype=torch.int64, device=device)
+    return Runners(TickLoop(step, tick.stops, recorded), FirstTick(tick))
 
 
 class FirstTick:
@@ -111,12 +112,14 @@ class FirstTick:
 class TickLoop:
     """A loop over ticks that holds the rows that have ended; shapes never change, so that graphs can be replayed."""
 
-    def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Sequence[int] = ()) -> None:
+    def __init__(
+        self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Tensor | None = None
+    ) -> None:
         """Repeat ``step``, see :meth:`bsk_torch.sim.tick.loop.Tick.step`, which may stop rows if it ``stops``.
 
-        Planes that are ``recorded`` are written in every tick.
+        Planes that are ``recorded``, indices [R], are written in every tick.
         """
-        self.step, self.stops, self.recorded, self.ticks_run = step, stops, list(recorded), 0
+        self.step, self.stops, self.recorded, self.ticks_run = step, stops, recorded, 0
 
     def __call__(
         self,
