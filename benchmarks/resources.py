@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.lab.bounds.scanning import sunlight
-from bsk_torch.lab.bounds.windows import openings
+from bsk_torch.lab.bounds.windows import openings, sunlight
 
 PRESET = "AEOSPower-v1"
 
@@ -37,8 +36,8 @@ def quantities(env: Any) -> dict[str, Tensor]:
     opens, closes = satellite.find_windows(seconds, "ground_station")[:2]
     passes = torch.where(torch.isfinite(closes), torch.minimum(closes, seconds.unsqueeze(1)) - opens, 0.0).sum(1)
     ticks = torch.arange(1, int(limit.max()) + 1, SAMPLES, dtype=torch.float64)
-    flux = torch.stack([sunlight(env, row, ticks)[0] for row in rows.split(1)])
-    gained = flux.mean(1) * seconds * args["panelArea"] * args["panelEfficiency"]
+    lit, flux = sunlight(env, rows, ticks)
+    gained = (lit * flux).mean(1) * seconds * args["panelArea"] * args["panelEfficiency"]
     load = args["wheelSpeeds"].shape[-1] * args["rwBasePower"] - args["basePowerDraw"]
     targets, start, image = seen.sum(1).double(), args["storedCharge_Init"], args["instrumentBaudRate"]
     surplus = start + gained - load * seconds

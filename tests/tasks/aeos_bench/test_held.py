@@ -63,7 +63,7 @@ def test_an_episode_that_ends_when_all_tasks_are_closed_has_the_measures_of_the_
 def test_a_flight_is_that_of_every_second_with_the_same_choices(options):
     """Successes, progress and attitudes are equal; energies and rewards are sums in another order."""
     held = bsk_torch.make("AEOSBench-v1", num_envs=3, rewarder=TaskReward(0.5), **SIZES, **options)
-    returns, assigned = fly(held, 480)
+    returns, assigned = fly(held, 600)
     ends, single = held.fleet.ticks, bsk_torch.make("AEOSBench-v1", num_envs=3, rewarder=TaskReward(0.5), **SIZES)
     td, sums = single.reset(), torch.zeros_like(returns)
     seen = []
