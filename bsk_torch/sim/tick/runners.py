@@ -112,9 +112,7 @@ class FirstTick:
 class TickLoop:
     """A loop over ticks that holds the rows that have ended; shapes never change, so that graphs can be replayed."""
 
-    def __init__(
-        self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Tensor | None = None
-    ) -> None:
+    def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Tensor | None = None) -> None:
         """Repeat ``step``, see :meth:`bsk_torch.sim.tick.loop.Tick.step`, which may stop rows if it ``stops``.
 
         Planes that are ``recorded``, indices [R], are written in every tick.
