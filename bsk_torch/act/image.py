@@ -90,8 +90,8 @@ class Image(CandidateAction):
 
     @override
     def offers(self) -> tuple[Tensor, Tensor]:
-        known = torch.zeros_like(self.satellite.simulator.ticks)  # no look-ahead for the sake of a picture
-        windows = self.satellite.find_next_opportunities(self.n_actions, self.kind, known, may_see_nothing=True)
+        number = torch.zeros_like(self.satellite.simulator.ticks)  # no look-ahead for the sake of a picture
+        windows = self.satellite.find_next_opportunities(self.n_actions, self.kind, number, may_see_nothing=True)
         same = windows.place.unsqueeze(-1) == windows.place.unsqueeze(-2)  # as in decide, a target's first window counts
         opens = torch.where(same, windows.open.unsqueeze(-2), torch.inf).amin(-1)
         return torch.where(windows.found.unsqueeze(-1) > 0, windows.place, -1), opens

@@ -73,27 +73,27 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
     _check_covered(fleet, asked)
     span = fleet.since, torch.maximum(fleet.ticks - 1, fleet.since)
     if len(fleet.simulators) == 1 and _by_kernels(fleet.simulators[0]):
-        seen = _seen_by_kernel(fleet, moved, span)
-        return seen if directed else seen | seen.mT
+        pairs = _sights_by_kernel(fleet, moved, span)
+        return pairs if directed else pairs | pairs.mT
     search = make_search(fleet, *span)
     for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
         pairs[some] = search.visible_pairs(some, directed)
     return pairs
 
 
-def _seen_by_kernel(fleet: SatelliteFleet, moved: Tensor, span: tuple[Tensor, Tensor]) -> Tensor:
+def _sights_by_kernel(fleet: SatelliteFleet, moved: Tensor, span: tuple[Tensor, Tensor]) -> Tensor:
     """Return which sensors of satellites of one type see which others in a ``span`` of the episodes ``moved`` [N], [N, S, S]."""
     simulator, s = fleet.simulators[0], fleet.size
-    seen = moved.view(-1, 1, 1) & ~torch.eye(s, dtype=torch.bool)
+    pairs = moved.view(-1, 1, 1) & ~torch.eye(s, dtype=torch.bool)
     if fleet.present is not None:
-        seen = seen & fleet.present.unsqueeze(1) & fleet.present.unsqueeze(2)
+        pairs = pairs & fleet.present.unsqueeze(1) & fleet.present.unsqueeze(2)
     orbits = torch.cat([simulator.read("r_BN_N"), simulator.read("v_BN_N")], 1)
-    for part in torch.nonzero(seen).split(PAIRS_AT_ONCE):
+    for part in torch.nonzero(pairs).split(PAIRS_AT_ONCE):
         env, i, j = part.unbind(1)
         rows, ticks = (env * s + i, env * s + j), (span[0][env], span[1][env])
         reach = simulator.state.arguments[MAX_RANGE]
-        seen[env, i, j] = sensors_see(simulator.arcs, rows, orbits, reach, ticks, simulator.h_ns)
-    return seen
+        pairs[env, i, j] = sensors_see(simulator.arcs, rows, orbits, reach, ticks, simulator.h_ns)
+    return pairs
 
 
 def sights(fleet: SatelliteFleet, first: int) -> Tensor:

@@ -77,15 +77,15 @@ def waits(device: torch.device, step: Callable[[], object]) -> int | None:
 
 def difference(one: TensorDictBase, other: TensorDictBase) -> tuple[float, str]:
     """Largest difference of two tensordicts, infinite where truth values differ, and its entry."""
-    found = 0.0, ""
+    largest = 0.0, ""
     for key in one.keys(True, True):
-        mine, theirs = one[key].cpu(), other[key].cpu()
-        if mine.dtype.is_floating_point:
-            apart = (mine.double() - theirs.double()).abs().nan_to_num(0.0 if mine.isnan().equal(theirs.isnan()) else torch.inf)
-            found = max(found, (float(apart.max()), str(key)))
-        elif not torch.equal(mine, theirs):
-            found = max(found, (torch.inf, str(key)))
-    return found
+        a, b = one[key].cpu(), other[key].cpu()
+        if a.dtype.is_floating_point:
+            apart = (a.double() - b.double()).abs().nan_to_num(0.0 if a.isnan().equal(b.isnan()) else torch.inf)
+            largest = max(largest, (float(apart.max()), str(key)))
+        elif not torch.equal(a, b):
+            largest = max(largest, (torch.inf, str(key)))
+    return largest
 
 
 def together(envs: Sequence[Any], seen: Sequence[slice]) -> tuple[float, str]:

@@ -84,5 +84,5 @@ class Copied(UniformTargets):
 
 def targets_of(vector, k):
     """Return the targets of environment ``k`` of a batch."""
-    there = vector.core.scenario.drawn("target_exists")[k].bool()
-    return Copied(*(getattr(vector.core.scenario, name)[k][there].numpy() for name in ("r_LP_P", "priority")))
+    exists = vector.core.scenario.drawn("target_exists")[k].bool()
+    return Copied(*(getattr(vector.core.scenario, name)[k][exists].numpy() for name in ("r_LP_P", "priority")))

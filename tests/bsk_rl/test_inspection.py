@@ -25,7 +25,7 @@ def one_episode(case, k):
 
 @pytest.mark.compiled
 def test_points_are_found_in_the_steps_of_the_recordings():
-    for case in ("one", "three"):
+    for case in ("fine", "one", "three"):
         recorded = one_episode(case, 0)
         env = environment(recorded)
         points = SphericalRSO(**recorded.initial[0]["scenario"]).generate_points()

@@ -186,22 +186,22 @@ def _shares(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> 
     last = closes.amax(1)
     number = torch.arange(fleet.size, device=image.device)
     by_each = of_env(closes).gather(2, image.unsqueeze(1).expand(-1, fleet.size, -1))
-    mine = satellite.rows_of(number.expand(fleet.num_envs, -1)).unsqueeze(1) == number
-    later = torch.where(mine.unsqueeze(2), -torch.inf, by_each).amax(1)
-    aims = torch.where(mine, -1, of_env(fleet.each(_aim))).unsqueeze(1)
+    itself = satellite.rows_of(number.expand(fleet.num_envs, -1)).unsqueeze(1) == number
+    later = torch.where(itself.unsqueeze(2), -torch.inf, by_each).amax(1)
+    aims = torch.where(itself, -1, of_env(fleet.each(_aim))).unsqueeze(1)
     site = image // scenario.most
     now = of_env(fleet.sim_time).unsqueeze(1)
-    can = (last > -torch.inf).unflatten(1, (-1, scenario.most))
+    within_reach = (last > -torch.inf).unflatten(1, (-1, scenario.most))
     clear = (1.0 - scenario.drawn("image_risk")).unflatten(1, (-1, scenario.most))
-    left = can.double().sum(2)
+    count = within_reach.double().sum(2)
     size, done = scenario.drawn("site_size"), scenario.done
-    pays = scenario.gain((done + left) / size) - scenario.gain(done / size)
+    pays = scenario.gain((done + count) / size) - scenario.gain(done / size)
     return Shares(
         claimed=(aims == image.unsqueeze(2)).double().sum(2),
         site_claims=(aims // scenario.most == site.unsqueeze(2)).double().sum(2),
         later=(later - now).clamp(min=0.0),
-        team_left=look_up(left, site),
-        team_chance=look_up(torch.where(can, clear, 1.0).prod(2), site),
+        team_left=look_up(count, site),
+        team_chance=look_up(torch.where(within_reach, clear, 1.0).prod(2), site),
         team_finish=look_up(scenario.priority, image) * look_up(size * pays, site),
         team_close=(look_up(last.unflatten(1, (-1, scenario.most)).amax(2), site) - now).clamp(min=0.0),
     )
