@@ -243,6 +243,7 @@ def test_hard_choices_are_named(changes, message):
 @pytest.mark.parametrize("options", [OPTIONS, TRUNCATES])
 def test_good_settings_are_not_warned_of(options):
     assert not warned(options=options)
+    assert not warned(options=options, reward=0.0, imitate="rule")
 
 
 @pytest.mark.compiled

@@ -38,7 +38,7 @@ def hardships(config: PPOConfig, env: Tasking, reward: Tensor, seconds: Tensor) 
             f"{decisions * mean:.3g} s of an episode of {limit:.3g} s: no episode ends; give more frames or a smaller num_envs"
         )
     earned = float(reward.double().clamp(min=0.0).sum() / seconds.double().sum()) * limit
-    if not bool(reward.any()):
+    if not bool(reward.any()) and not config.imitate:
         yield (
             f"the first {reward.numel()} decisions brought no reward: there is nothing to learn from until one does; imitate a "
             f"rule first (imitate=...), or reward what leads there"
