@@ -116,7 +116,10 @@ class Mat3(NamedTuple):
         return Mat3(self.x - other.x, self.y - other.y, self.z - other.z)
 
     def solve(self, v: Vec3) -> Vec3:
-        """Return x with ``M x = v`` by Cramer's rule: ``M^-1 = [y x z, z x x, x x y] / (x . (y x z))`` of the rows x, y and z."""
+        """Return x with ``M x = v`` by Cramer's rule; not finite where the matrix is singular.
+
+        ``M^-1 = [y x z, z x x, x x y] / (x . (y x z))`` of the rows x, y and z.
+        """
         columns = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
         inverse = 1.0 / self.x.dot(columns[0])
         return (columns[0] * v.x + columns[1] * v.y + columns[2] * v.z) * inverse
