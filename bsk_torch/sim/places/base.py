@@ -113,17 +113,11 @@ class DrawnPlaces(Places):
 
 
 class Sites(NamedTuple):
-    """Places on the ground; n is the number of satellites, or 1 if all have the same places.
+    """Places on the ground; n is the number of satellites, or 1 if all have the same places."""
 
-    Attributes:
-        r_LP_P: Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others.
-        sin_min_elevation: Sines of the minimum elevation, [n, P].
-        shift: :func:`~bsk_torch.astro.geodetic.axis_shift`, [n, P] m; None for elevations from the radius.
-    """
-
-    r_LP_P: Tensor
-    sin_min_elevation: Tensor
-    shift: Tensor | None = None
+    r_LP_P: Tensor  # Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others
+    sin_min_elevation: Tensor  # sines of the minimum elevation, [n, P]
+    shift: Tensor | None = None  # axis_shift of each place, [n, P] m; None for elevations from the radius
 
 
 class FixedPlaces(Places):

@@ -28,21 +28,15 @@ SLACK = 1e-5  # angle, rad, or fraction by which screens are wider than bounds, 
 class PlaceTables(NamedTuple):
     """Tables that kinds of places read; N rows of satellites in ``num_envs`` environments.
 
-    Attributes:
-        drawn: Draws of the scenario, [num_envs, ...] each; read whenever positions are requested, since they change at resets.
-        arguments: Arguments of satellites and world, [N, ...] each; likewise.
-        world: Arguments of the world that are the same in all environments, such as the ground stations.
-        instruments: Several instruments of the satellites; none if they have a single one.
-        vertical: Direction from which elevations over targets are counted.
-        earth: Model of the Earth's rotation.
+    Draws and arguments change at resets, so they are read whenever positions are requested.
     """
 
-    drawn: DrawTable
-    arguments: StateTable
-    world: Values
-    instruments: Sequence[Instrument] = ()
-    vertical: Vertical = "radius"
-    earth: Earth = IAU_EARTH
+    drawn: DrawTable  # draws of the scenario, [num_envs, ...] each
+    arguments: StateTable  # arguments of satellites and world, [N, ...] each
+    world: Values  # arguments of the world that are the same in all environments, such as the ground stations
+    instruments: Sequence[Instrument] = ()  # several instruments of the satellites; none if they have a single one
+    vertical: Vertical = "radius"  # direction from which elevations over targets are counted
+    earth: Earth = IAU_EARTH  # model of the Earth's rotation
 
     def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
@@ -68,23 +62,14 @@ class PlaceTables(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """Satellites B and places L at the same times; all tensors broadcast to [n, ...].
+    """Satellites B and places L at the same times; all tensors broadcast to [n, ...]."""
 
-    Attributes:
-        rows: Rows of the satellites, [n].
-        place: Numbers of the places.
-        time: Times, s since reset.
-        r_BP_P: Earth-fixed position of the satellite, m.
-        r_LP_P: Earth-fixed position of the place, m.
-        tables: Tables of the kind, for the position of the Sun.
-    """
-
-    rows: Tensor
-    place: Tensor
-    time: Tensor
-    r_BP_P: Vec3
-    r_LP_P: Vec3
-    tables: PlaceTables
+    rows: Tensor  # rows of the satellites, [n]
+    place: Tensor  # numbers of the places
+    time: Tensor  # s since reset
+    r_BP_P: Vec3  # Earth-fixed position of the satellite, m
+    r_LP_P: Vec3  # Earth-fixed position of the place, m
+    tables: PlaceTables  # of the kind, for the position of the Sun
 
 
 class Clearance(Protocol):
