@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -51,14 +52,7 @@ ARGS = (
     WHEELS_ARG,
     *NUMBERS,
     Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", "vector", -1e6, 1e6),
-    Arg(
-        "maxWheelSpeed",
-        float("inf"),
-        "rpm",
-        "a spacecraft with a wheel at or above this speed dies",
-        low=1e-6,
-        flown=(-1e9, float("inf")),
-    ),
+    Arg("maxWheelSpeed", math.inf, "rpm", "spacecraft with a wheel at or above this speed die", low=1e-6, flown=(-1e9, math.inf)),
     Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive", endless=True),
 )
 """Arguments of the three default wheels, and those that describe others."""
