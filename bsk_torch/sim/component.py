@@ -297,7 +297,7 @@ class Component:
     slot records, at the end of the same tick.
 
     ``tracks`` are samples that the component reads as ``bus.<track>``; what knows them supplies them to the simulation, see
-    :class:`bsk_torch.sim.tick.tracks.TrackSource`.
+    :class:`bsk_torch.sim.tick.trace.TrackSource`.
 
     ``flags`` are what flight modes may switch on: ``bus.<flag>`` is 1 in the modes that list it, else 0. Those of ``idle_flags``
     are 1 before the first command, too. ``resets`` lists fields of the state with the values to which every command sets them.

@@ -16,7 +16,7 @@ from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.visibility.planned import take_rows
 from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
@@ -32,14 +32,13 @@ from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.fsw.target import VERTICAL
 from bsk_torch.sim.orbit.arcs import Arcs
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.sim.places.base import PlaceKinds, place_kinds
 from bsk_torch.sim.readout.observables import Observer
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick.runners import RunInputs, TickLoop, ticks_at_once
-from bsk_torch.sim.tick.trace import Trace
-from bsk_torch.sim.tick.tracks import TrackSource, no_samples
+from bsk_torch.sim.tick.trace import Trace, TrackSource, no_samples
 
 logger = logging.getLogger(__name__)
 

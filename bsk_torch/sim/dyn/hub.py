@@ -381,7 +381,7 @@ ARGS = (
     Arg("r_CB_B", (0.0, 0.0, 0.0), "m", "center of mass relative to the origin of B, in B", "vector", -1e3, 1e3),
     Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
     Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
-    Arg("oe", random_orbit(), "m, -, rad", "initial orbit: osculating a, e, i, Omega, omega, f in N; a TLE has others", "orbit"),
+    Arg("oe", random_orbit(), "m, -, rad", "initial osculating elements a, e, i, Omega, omega, f; a TLE has others", "orbit"),
     Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e12, 1e12),
     Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
     Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),

@@ -27,7 +27,7 @@ def change_velocity(bus: Bus) -> None:
 TANK = Component(
     slot="manoeuvre",
     update=change_velocity,
-    args=(Arg("dv_available_init", 100.0, "m/s", "change of velocity that a full tank is good for", low=0.0, high=MOST_FUEL),),
+    args=(Arg("dv_available_init", 100.0, "m/s", "sum of the changes of velocity of a full tank", low=0.0, high=MOST_FUEL),),
     state=(
         Field("dv_available", 1, "m/s", "remaining velocity change", exact=True, limit=MOST_FUEL),
         Field("thrust_count", 1, "-", "maneuvers since reset", exact=True),

@@ -8,7 +8,7 @@ the motion of several satellites, such as the distance between them, is computed
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -87,3 +87,19 @@ class Flight(NamedTuple):
             raise ValueError(f"satellites of type {k} do not record {name!r}; list it in records of one of their components")
         values = trace.read(name)
         return values.view(len(self.envs), count, *values.shape[1:])
+
+
+class TrackSource(Protocol):
+    """Supplies the samples of a track to the N satellites of a simulation; see ``Simulator.sources``."""
+
+    def reach(self, time: Tensor) -> None:
+        """Make the samples of runs from now on reach ``time`` [N] s."""
+
+    def samples(self) -> Samples:
+        """Return the samples for all N rows."""
+
+
+def no_samples(track: Track, rows: int, device: torch.device) -> Samples:
+    """Return samples for N rows where nothing supplies them: zeros."""
+    table = torch.zeros(1, track.count, track.width, dtype=torch.float64, device=device)
+    return Samples(table, table.new_zeros(1), torch.zeros(rows, dtype=torch.int64, device=device))

@@ -18,8 +18,8 @@ from bsk_torch.sim.access.light.light import in_light
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
 from bsk_torch.sim.access.passes.requested import long_enough, request_passes
 from bsk_torch.sim.access.passes.sampled_passes import find_passes
-from bsk_torch.sim.access.visibility.backend import Visibility
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits, take_rows
+from bsk_torch.sim.access.visibility.interface import Visibility
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, halved, take_rows
 from bsk_torch.sim.access.windows.generation import GenerationIntervals, true_windows, windows_by_interval
 from bsk_torch.sim.access.windows.next_windows import next_windows
 from bsk_torch.sim.access.windows.padded import tabulate
@@ -27,7 +27,6 @@ from bsk_torch.sim.access.windows.table import Windows, candidates, join_at, nex
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
-from bsk_torch.sim.orbit.halved import halved
 from bsk_torch.sim.places import FixedPlaces, Places
 from bsk_torch.sim.places.requested import RequestPlaces
 from bsk_torch.sim.state import StateTable
