@@ -110,7 +110,6 @@ class Program(Generic[V]):
     value_type: type[V] = Value  # type: ignore[assignment]
 
     def __init__(self) -> None:
-        """Start an empty program."""
         self.root = Region(None, None)
         self.region = self.root
         self.count = 0

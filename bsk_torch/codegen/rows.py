@@ -80,7 +80,6 @@ class Table:
     """Numbers that a row looks up."""
 
     def __init__(self, tracer: Tracer, argument: Argument) -> None:
-        """Look up an ``argument``."""
         self._tracer, self.argument = tracer, argument
 
     def gather(self, dim: int, index: Batch) -> Any:
@@ -99,7 +98,6 @@ class RowTrace:
     """The arguments of a kernel of rows, for the code that it computes."""
 
     def __init__(self) -> None:
-        """Start without arguments."""
         self._tracer = Tracer()
         self.arguments: dict[str, Argument] = {}
 
@@ -127,11 +125,7 @@ class RowTrace:
 
 
 class RowKernel:
-    """The loop over rows that computes ``outputs``, and what holds of ``all`` rows.
-
-    Attributes:
-        names: Arguments of a call, in their order.
-    """
+    """A loop over rows; ``names`` are the arguments of a call, in their order."""
 
     def __init__(
         self,

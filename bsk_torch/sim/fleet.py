@@ -36,7 +36,6 @@ class FleetState(StateTable):
     removed: Tensor
 
     def __init__(self, num_envs: int, size: int, device: torch.device) -> None:
-        """Make the table; no satellite has been removed."""
         super().__init__(num_envs, 1, device)
         self.declare("time_limit", 0.0, low=0.0)
         self.declare("removed", False, size)

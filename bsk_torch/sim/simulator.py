@@ -60,18 +60,9 @@ class Checkpoint(NamedTuple):
 class Simulator:
     """The simulation of the satellites of one type in ``num_envs`` environments, ``count`` of them in each.
 
-    Attributes:
-        state: Everything that belongs to the current episodes; satellite k of environment e is row ``e * count + k``.
-        scenario_state: The scenario's draws, [num_envs, ...] each, shared by the simulations of an environment.
-        lookahead: Arcs, eclipses and windows, which are part of the state.
-        observer: Properties of the present, computed together.
-        world: Sun, Earth and stations at the current time.
-        h: Length of a tick, s.
-        records: Whether runs leave traces.
-        has_events: Whether there are events that end an action.
-        ends_apart: Whether these end actions, but not runs.
-        has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
-        sources: What supplies the ``tracks`` that components read, by name; none in the tick at time zero.
+    ``state`` is all that belongs to the current episodes; satellite k of environment e is row ``e * count + k``. Runs leave
+    traces where it ``records``. Events that end an action, where it ``has_events``, end runs, too, unless it ``ends_apart``.
+    ``sources`` supply the ``tracks`` that components read, by name; none in the tick at time zero.
     """
 
     def __init__(
@@ -580,7 +571,7 @@ class Simulator:
             counts = (goal - now).clamp(min=0)
             inputs["ticks"] = now
             if self.records:
-                written = fields.new_empty(len(now), int(counts.max()), self.tick.recorded_width)
+                written = fields.new_empty(len(now), int(counts.max()), len(self.tick.recorded_planes))
             self.runners.run(fields, counts, written=written, **inputs)
             now = now + counts
             values[:, p] = fields[planes].mT

@@ -260,7 +260,6 @@ class Looked(dict[str, object]):
     """Values by name that remember which of them were looked at."""
 
     def __init__(self, arguments: UserArguments) -> None:
-        """Keep the values."""
         super().__init__(arguments)
         self.names_read: set[str] = set()
 

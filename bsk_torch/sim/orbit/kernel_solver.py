@@ -31,7 +31,6 @@ class KernelSolver(Solver):
     tail = flown_arc.FLOWN_STATE + planned_arc.PLANNED_STATE
 
     def __init__(self, step: float, degree: int, earth: Earth) -> None:
-        """Take the stretches of both arcs, the degree of the Earth's field, and the model of its rotation."""
         self.degree, self.earth = degree, earth
         self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
 
@@ -124,7 +123,7 @@ def continue_flight(
 
     The positions of the steps are written to ``flown`` [n, K, 3], m, if given.
     """
-    kernel = flown_arc.flight_kernel(degree) if flown is None else flown_arc.flown_kernel(degree)
+    kernel = flown_arc.flown_kernel(degree, flown is not None)
     kernel(state, counts, [around], shared=stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)
 
 

@@ -113,7 +113,6 @@ class PicardSolver(Solver):
     tail = 12
 
     def __init__(self, step: float, backend: str, device: torch.device, degree: int, earth: Earth) -> None:
-        """Make the matrices of the quadrature; ``degree`` is that of the Earth's field."""
         self.degree, self.earth = degree, earth
         self.device, self.kernels, self.compiled = device, kernels(backend), backend == "compiled"
         self.inside = quadrature(PICARD_DEGREE, None, str(device))

@@ -45,17 +45,11 @@ TARGETS = "target_r_LP_P"
 
 
 class Places(ABC):
-    """A kind of places, P in every environment.
-
-    Attributes:
-        tables: Tables of the simulation.
-        clearances: Conditions of a clear view, all of which must hold.
-        advice: What a user can do if none of the places comes into view, as the end of an error message.
-        names: Names of the places; empty for none.
-    """
+    """A kind of places, P in every environment."""
 
     tables: PlaceTables
-    clearances: Sequence[Clearance] = ()
+    clearances: Sequence[Clearance] = ()  # conditions of a clear view, all of which must hold
+    # what a user can do if none of the places comes into view, as the end of an error message
     advice: str = "lengthen the orbits' look-ahead, or ask for more places"
     names: Sequence[str] = ()
 
@@ -124,12 +118,9 @@ class FixedPlaces(Places):
     """Places that rest on the Earth, and see satellites above a minimum elevation, in a given light.
 
     Their windows are found by kernels, which makes them the fastest kind; not those of subclasses with ``clearances``.
-
-    Attributes:
-        light: Conditions on the elevation of the Sun, all of which must hold.
     """
 
-    light: Sequence[SunElevation] = ()
+    light: Sequence[SunElevation] = ()  # conditions on the elevation of the Sun, all of which must hold
 
     def __init__(
         self,

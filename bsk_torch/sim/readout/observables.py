@@ -40,7 +40,6 @@ class Arguments:
     """Arguments of the current episodes by name, planes or vectors."""
 
     def __init__(self, read: Callable[[str], object]) -> None:
-        """Look arguments up with ``read``."""
         self._read = read
 
     def __getattr__(self, name: str) -> Any:
@@ -121,7 +120,6 @@ class observable(property):  # noqa: N801  - a decorator
     """
 
     def __init__(self, function: Function) -> None:
-        """Decorate ``function``."""
         super().__init__(operator.methodcaller("observed", function))
         self.function, self.__name__ = function, function.__name__
         self.__doc__ = function.__doc__  # otherwise a subclass of property has the docstring of the class
@@ -154,18 +152,12 @@ ROUNDING = 1e-6  # difference between a kernel and torch that counts as rounding
 
 
 class Observer:
-    """Reads observables of a simulation, each at most once between two changes of its state.
-
-    Attributes:
-        wanted: Functions read at every step, which one kernel computes together, but for those that no kernel can compute.
-        missed: Functions that have been computed on tensors, one by one.
-    """
+    """Reads observables of a simulation, each at most once between two changes of its state."""
 
     def __init__(self, state: SatelliteState, arcs: Arcs, backend: str) -> None:
-        """Read the ``state`` of satellites on ``arcs``."""
         self.state, self.arcs, self.kernels = state, arcs, backend == "compiled" and state.device.type == "cpu"
-        self.wanted: tuple[Function, ...] = ()
-        self.missed: dict[Function, None] = {}
+        self.wanted: tuple[Function, ...] = ()  # read at every step, together where a kernel can compute them
+        self.missed: dict[Function, None] = {}  # computed on tensors, one by one
         self._kernel: ObserverKernel | None = None
         self._table: Tensor | None = None
         self._values: dict[Function, Tensor] = {}
@@ -349,17 +341,12 @@ def now_on_tensors(state: SatelliteState, arcs: Arcs, moments: Moments | None = 
 
 
 class ObserverProgram:
-    """Observables traced into one program.
-
-    Attributes:
-        arguments: Arguments that they read, in the order of the planes.
-        values: What they are, a value or several for each.
-    """
+    """Observables traced into one program."""
 
     def __init__(self, state: SatelliteState, functions: Sequence[Function]) -> None:
         """Trace the functions; UntraceableError for one that does something else than kernels can."""
         self.tracer = program = Tracer()
-        self.arguments: list[str] = []
+        self.arguments: list[str] = []  # those read, in the order of the planes
         widths: dict[str, int] = {}
 
         def read(name: str) -> object:

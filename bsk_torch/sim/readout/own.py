@@ -51,17 +51,12 @@ Watched = list[tuple[Callable[..., object], str, object]]
 
 
 class OwnFunction:
-    """A user's function of satellites on tensors, as a function of the present for kernels.
-
-    Attributes:
-        on_tensors: Calls it on tensors.
-        watched: Variables that it reads; see :attr:`unchanged`.
-    """
+    """A user's function of satellites on tensors, as a function of the present for kernels."""
 
     def __init__(self, function: object, of: object, satellite: Any, on_tensors: Callable[[], Tensor], name: str) -> None:
-        """Trace ``function`` of a model ``of`` satellites, or of the satellites themselves if None."""
+        """Trace ``function`` of a model ``of`` satellites, or of the satellites themselves if None; ``on_tensors`` calls it."""
         self.function, self.of, self.satellite, self.on_tensors, self.__name__ = function, of, satellite, on_tensors, name
-        self.watched: Watched = []
+        self.watched: Watched = []  # variables that it reads; see unchanged
 
     def __call__(self, now: Any) -> object:
         """Return what the function computes of the present, planes of a kernel; UntraceableError for what no kernel can."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +15,9 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.sim.simulator import Checkpoint, Simulator
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick.trace import Flight, Trace
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.run.recording import Recording
 
 MOST_NUMBERS, DEVICE_MOST_NUMBERS = 1 << 22, 1 << 25
 """Numbers that the traces of a run hold at once; longer runs, or those of more episodes, are made part by part.
@@ -38,24 +41,20 @@ class RunResult(NamedTuple):
 
 
 class Dependencies:
-    """Which type of satellites reads the trace of which, and the order in which types run.
-
-    Attributes:
-        depends_on: For each type, the type that it follows by slot.
-        order: The types, those followed before those that follow them, and those whose events end steps first.
-        first: The types that run before the end of a step is known, in their order, by whether there are stop conditions.
-    """
+    """Which type of satellites reads the trace of which, and the order in which types run."""
 
     def __init__(self, simulators: Sequence[Simulator]) -> None:
-        """Find the followed satellites."""
         self.simulators = simulators
+        # for each type, the type that it follows by slot
         self.depends_on = [{name: self._owner(name) for name in simulator.followed} for simulator in simulators]
         depth: dict[int, int] = {}
         while len(depth) < len(simulators):  # FleetBuilder has built those followed first, so there are no circles
             for k, others in enumerate(self.depends_on):
                 if k not in depth and all(other in depth for other in others.values()):
                     depth[k] = 1 + max((depth[other] for other in others.values()), default=0)
+        # those followed before those that follow them, and those whose events end steps first
         self.order = sorted(depth, key=lambda k: (depth[k], not simulators[k].stops))
+        # types that run before the end of a step is known, by whether there are stop conditions
         self.first = {watched: self._first(watched) for watched in (False, True)}
 
     def _owner(self, name: str) -> int:
@@ -87,22 +86,6 @@ class Dependencies:
             if k in needed or simulator.stops or (simulator.records and (watched or simulator.has_events)):
                 needed |= {k, *self.depends_on[k].values()}
         return [k for k in self.order if k in needed]
-
-
-class Recorder(Protocol):
-    """What records runs; see :class:`bsk_torch.sim.run.recording.Recording`."""
-
-    def begin(self, envs: Tensor) -> None:
-        """Record the present of the episodes ``envs`` [n], which have begun or been restored, where they are recorded."""
-
-    def prepare(self, envs: Tensor | None) -> Tensor:
-        """Note where a run of the episodes ``envs`` [n], or all, begins; return the places of the recorded ones among them."""
-
-    def add(self, envs: Tensor, ticks: Tensor, followed: Mapping[int, Mapping[str, Samples]]) -> None:
-        """Record a run of the recorded episodes ``envs`` [n] by ``ticks`` [n] from where :meth:`prepare` was called.
-
-        ``followed`` are traces of other satellites that the rows of each type read, by slot.
-        """
 
 
 class Satellites:
@@ -143,7 +126,7 @@ class Satellites:
         self.dependencies = Dependencies(self.simulators)
         self.stop_conditions: list[StopCondition] = []
         self.flight_observers: list[FlightObserver] = []
-        self.recordings: list[Recorder] = []
+        self.recordings: list[Recording] = []
         self.all_envs = torch.arange(self.num_envs, device=self.device)
         self.memory = StateTable(self.num_envs, 1, self.device)
         self.traced = any(simulator.records or simulator.followed for simulator in self.simulators)
@@ -211,10 +194,7 @@ class Call:
 class Part:
     """A run of n episodes of a fleet, whose traces are in memory together.
 
-    Attributes:
-        envs: The episodes, [n]; None for all of a fleet.
-        ends: Ticks that they run, [n]; at most, until all calls have been made.
-        events: For each type of satellites, whether an event ended the action of a row, [n * count], or None.
+    They run ``ends`` [n] ticks, at most until all calls have been made; ``events`` are those of :class:`RunResult`.
     """
 
     def __init__(
@@ -325,7 +305,7 @@ def parts_of(fleet: Satellites, moves: Tensor, ends: Tensor) -> Iterator[Tensor 
     if not (fleet.traced or fleet.stop_conditions or fleet.flight_observers):
         yield None
         return
-    width = sum(simulator.count * simulator.tick.recorded_width for simulator in fleet.simulators)
+    width = sum(simulator.count * len(simulator.tick.recorded_planes) for simulator in fleet.simulators)
     most = MOST_NUMBERS if moves.device.type == "cpu" else DEVICE_MOST_NUMBERS
     envs = torch.nonzero(moves).squeeze(-1)
     ranked = envs[ends[envs].argsort(descending=True, stable=True)]

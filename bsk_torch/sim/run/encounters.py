@@ -145,11 +145,7 @@ def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, las
 
 
 class Encounters:
-    """Conjunctions and ranges of the satellites of a fleet.
-
-    Attributes:
-        pairs: Pairs of satellites by their numbers in the fleet.
-    """
+    """Conjunctions and ranges of the satellites of a fleet."""
 
     def __init__(self, fleet: Satellites, pairs: EncounterPairs, compat: bool) -> None:
         """Declare what the episodes remember, and end the steps of the fleet; ``compat`` repeats the bookings of recordings."""

@@ -243,11 +243,6 @@ class Tick:
         planes, stop = self.advance(inputs, checked=True)
         return Loop(program, planes, self.tracks, [planes[k] for k in self.recorded_planes], stop=stop)
 
-    @property
-    def recorded_width(self) -> int:
-        """Number of planes that every tick records."""
-        return len(self.recorded_planes)
-
     @functools.cached_property
     def recorded_planes(self) -> list[int]:
         """Planes of the state that every tick records."""

@@ -69,7 +69,6 @@ class EclipseTable(StateTable):
     ends: Tensor  # times of transitions out of it, likewise
 
     def __init__(self, arcs: Arcs, visibility: Visibility) -> None:
-        """Prepare an empty table for ``arcs``."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility = arcs, visibility
         self.__dict__["searched"] = SEARCH_STEP * torch.arange(SEARCHES, dtype=torch.float64, device=arcs.device).unsqueeze(-1)

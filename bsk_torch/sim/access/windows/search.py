@@ -52,7 +52,6 @@ class WindowState(StateTable):
     place: Tensor
 
     def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
-        """Make an empty table."""
         super().__init__(num_envs, count, device)
         self.declare("open", math.inf, 1, grows=True, low=0.0)
         self.declare("close", math.inf, 1, grows=True, low=0.0)
@@ -71,25 +70,16 @@ class AccessWindows(StateTable):
     """Windows of N satellites over several kinds of places.
 
     Searching is batched: windows are searched far ahead, up to ``ready`` [N] s, but queries see only those up to ``until`` [N] s,
-    with windows in progress cut there, as if they had been generated only so far.
-
-    Attributes:
-        arcs: Orbits of the satellites.
-        kinds: Places by kind of opportunity.
-        segment: Length, s, of the intervals that queries add.
-        until: End of what queries see, [N] s.
-        ready: End of what has been searched, [N] s.
-        ahead: Segments searched at once.
-        compat: Whether the windows are those of a search by intervals, with its errors, instead of the passes themselves.
+    with windows in progress cut there, as if they had been generated only so far. Queries add ``segment`` s, of which ``ahead``
+    are searched at once. With ``compat``, windows are those of a search by intervals, with its errors.
     """
 
-    until: Tensor
-    ready: Tensor
+    until: Tensor  # end of what queries see, [N] s
+    ready: Tensor  # end of what has been searched, [N] s
 
     def __init__(
         self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, Places], segment: float, compat: bool = False
     ) -> None:
-        """Prepare empty tables."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility, self.kinds, self.segment = arcs, visibility, dict(kinds), segment
         self.compat = compat
