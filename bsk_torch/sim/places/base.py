@@ -121,13 +121,13 @@ class FixedPlaces(Places):
     """
 
     light: Sequence[SunElevation] = ()  # conditions on the elevation of the Sun, all of which must hold
+    may_lack = False  # whether places may not exist in some environments
 
     def __init__(
         self,
         r_LP_P: Tensor | Callable[[], Tensor],
         sin_min_elevation: float | Callable[[Tensor], Tensor],
         *,
-        exists: Callable[[], Tensor] | None = None,
         satellites: int = 1,
         light: Sequence[SunElevation] = (),
         tables: PlaceTables | None = None,
@@ -141,7 +141,6 @@ class FixedPlaces(Places):
             r_LP_P: Earth-fixed positions, [1, P, 3] m for all environments or [num_envs, P, 3]; or a function that returns them,
                 such as ``lambda: tables.drawn["buoy_r_LP_P"]`` of what a scenario draws.
             sin_min_elevation: Sine of the minimum elevation: a number, or a function of rows [n] that returns [n or 1, P or 1].
-            exists: Function that returns which places exist, [num_envs, P], 1 or 0.
             satellites: Satellites in each environment, ``tables.arguments.count``.
             light: Conditions such as ``[SunElevation(0.1)]``.
             tables: Tables of the simulation; needed with ``light``, which depends on the time.
@@ -154,7 +153,7 @@ class FixedPlaces(Places):
         """
         if light and tables is None:
             raise ValueError(f"light={light!r} needs tables=, those that place_kinds(tables) was called with")
-        self._table, self._limit, self._exists, self.light = r_LP_P, sin_min_elevation, exists, tuple(light)
+        self._table, self._limit, self.light = r_LP_P, sin_min_elevation, tuple(light)
         self.satellites, self.advice, self.names, self.vertical = satellites, advice, tuple(names), vertical
         if tables is not None:
             self.tables = tables
@@ -182,14 +181,6 @@ class FixedPlaces(Places):
         return entries(table, (envs if row is None else row[envs]).view(-1, *[1] * (place.ndim - 1)), place)
 
     @override
-    def exists(self, rows: Tensor) -> Tensor:
-        return super().exists(rows) if self._exists is None else self._exists()[rows // self.satellites] > 0.5
-
-    @property
-    def _may_lack(self) -> bool:
-        return self._exists is not None
-
-    @override
     def max_speed(self, rows: Tensor) -> Tensor:
         return torch.zeros(1, 1, dtype=torch.float64, device=rows.device)
 
@@ -198,11 +189,11 @@ class FixedPlaces(Places):
         (table, row), given = self._stored(), self._limit(rows) if callable(self._limit) else self._limit
         sines = torch.as_tensor(given, dtype=table.dtype, device=table.device)
         sines = (sines if sines.ndim else sines.view(1, 1)).expand(-1, table.shape[1])
-        if len(table) == len(sines) == 1 and not self._may_lack:
+        if len(table) == len(sines) == 1 and not self.may_lack:
             return Sites(table, sines, self._shift(table))
         envs = rows // self.satellites if row is None else row[rows // self.satellites]
         r_LP_P = table[envs] if len(table) > 1 else table.repeat(len(rows), 1, 1)
-        if self._may_lack:
+        if self.may_lack:
             r_LP_P.masked_fill_(~self.exists(rows).unsqueeze(-1), torch.nan)
         return Sites(r_LP_P, sines.expand(r_LP_P.shape[:2]), self._shift(r_LP_P))
 
@@ -212,6 +203,8 @@ class FixedPlaces(Places):
 
 class DrawnTargets(FixedPlaces):
     """Targets that a scenario draws, by the names :data:`TARGETS` and ``target_exists``; read as the table stores them."""
+
+    may_lack = True
 
     def __init__(
         self,
@@ -245,10 +238,6 @@ class DrawnTargets(FixedPlaces):
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
         return self._drawn.shared(TARGETS)
-
-    @property
-    def _may_lack(self) -> bool:
-        return True
 
     @override
     def exists(self, rows: Tensor) -> Tensor:
