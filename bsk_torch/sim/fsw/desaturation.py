@@ -10,7 +10,6 @@ import functools
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -50,7 +49,7 @@ def momentum_to_dump(h: Vec3, keep: Tensor) -> Vec3:
     return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
 
 
-def impulses(dH: Vec3, rows: Iterable[Sequence[Tensor]]) -> Pairs:
+def impulses(dH: Vec3, rows: Iterable[Sequence[Tensor | float]]) -> Pairs:
     """Return the impulse, N s, of each thruster for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
@@ -68,10 +67,10 @@ def _least(values: Sequence[Tensor]) -> Tensor:
     return torch.minimum(_least(values[:half]), _least(values[half:]))
 
 
-Rows = Callable[[Bus], Iterable[Sequence[Any]]]  # returns the rows of the map of impulses, three numbers or planes each
+Rows = Callable[[Bus], Iterable[Sequence[Tensor | float]]]  # returns the rows of the map of impulses, three each
 
 
-def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> None:
+def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Tensor | float]]) -> None:
     """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent; Basilisk's thrMomentumDumping.
 
     Only pulses of a whole tick reach the integrator, so only those are commanded. With on-times left T, ticks to wait c, and
@@ -94,7 +93,9 @@ def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]])
     )
 
 
-def _dump(bus: Bus, rows: Iterable[Sequence[Any]], thrusts: Sequence[Any]) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
+def _dump(
+    bus: Bus, rows: Iterable[Sequence[Tensor | float]], thrusts: Sequence[Tensor | float]
+) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
     """Return commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
     h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
     dH = select(first, momentum_to_dump(stored_momentum(bus), bus.momentum_to_keep), bus.dump_momentum_B)
@@ -128,7 +129,7 @@ DESATURATION_ARGS = (
 )
 
 
-def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> Component:
+def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Tensor | float]]) -> Component:
     """Return the component that dumps momentum by ``count`` thrusters, or pairs of them, with these thrusts, N.
 
     The ``rows`` are those of the map, see :func:`impulses`.

@@ -233,7 +233,7 @@ class Observer:
 
     def _built(self) -> ObserverKernel | None:
         if self._kernel is None:
-            functions = tuple(function for function in self.wanted if of_package([function]) or self._has_kernel(function))
+            functions = tuple(function for function in self.wanted if of_package([function]) or self.has_kernel(function))
             try:
                 self._kernel = ObserverKernel.of(self.state, functions) if functions else None
                 if self._kernel is not None and (same := self._agreeing(self._kernel)) != functions:
@@ -246,10 +246,6 @@ class Observer:
             self._own = tuple(function for function in layout if isinstance(function, OwnFunction))
         return self._kernel
 
-    def can_trace(self, function: OwnFunction) -> bool:
-        """Return whether a kernel can compute a user's function of tensors; otherwise a sentence in the log names the reason."""
-        return self.kernels and self._has_kernel(function)
-
     def _leave_changed(self) -> None:
         """Compute functions whose variables have changed since they were traced on tensors from now on."""
         changed = [function for function in self._own if not function.unchanged]
@@ -260,7 +256,7 @@ class Observer:
             self.want(())
             self._own = ()
 
-    def _has_kernel(self, function: Function) -> bool:
+    def has_kernel(self, function: Function) -> bool:
         """Return whether a kernel can compute a user's function; otherwise a sentence in the log names the reason."""
         try:
             one, two = (ObserverProgram(self.state, [function]).text for _ in range(2))

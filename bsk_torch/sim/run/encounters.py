@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,9 +18,11 @@ from bsk_torch.constants import NANO
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.run.coupled import Satellites
 from bsk_torch.sim.tick.trace import Flight
 from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.fleet import Fleet
 
 logger = logging.getLogger(__name__)
 
@@ -147,7 +149,7 @@ def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, las
 class Encounters:
     """Conjunctions and ranges of the satellites of a fleet."""
 
-    def __init__(self, fleet: Satellites, pairs: EncounterPairs, compat: bool) -> None:
+    def __init__(self, fleet: Fleet, pairs: EncounterPairs, compat: bool) -> None:
         """Declare what the episodes remember, and end the steps of the fleet; ``compat`` repeats the bookings of recordings."""
         self.fleet, self.pairs = fleet, pairs
         every = (*pairs.conjunctions, *pairs.ranges)

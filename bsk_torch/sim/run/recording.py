@@ -16,9 +16,9 @@ from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import NANO
+from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import Function, Moments, as_tensor, now_on_tensors
-from bsk_torch.sim.run.coupled import Satellites
 from bsk_torch.sim.simulator import Checkpoint
 
 NO_TICK = -1  # number of a tick that is not recorded
@@ -60,7 +60,7 @@ class Recording:
 
     def __init__(
         self,
-        fleet: Satellites,
+        fleet: Fleet,
         fields: Sequence[str],
         envs: Tensor,
         every: int,

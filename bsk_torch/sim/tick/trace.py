@@ -33,11 +33,6 @@ def recorded(components: Sequence[Component]) -> tuple[Field, ...]:
     return tuple(fields[name] for name in names)
 
 
-def trace_track(name: str, fields: Sequence[Field], h: float) -> Track:
-    """Return the track by which a tick of ``h`` seconds reads the fields of a satellite that it follows, as ``bus.<name>[0]``."""
-    return Track(name, h, tuple(fields), count=1)
-
-
 class Trace(NamedTuple):
     """Recorded fields of rows in a run: record k holds them k ticks after its start."""
 
@@ -64,7 +59,7 @@ class Trace(NamedTuple):
         return self.table[..., where.start] if self.layout.fields[name].width == 1 else self.table[..., where]
 
     def samples(self, h_ns: int, owner: Tensor) -> Samples:
-        """Return the trace as samples of :func:`trace_track` for rows that follow the rows ``owner`` [n] of the trace."""
+        """Return the trace as samples of a track, one record a tick, for rows that follow the rows ``owner`` [n] of the trace."""
         # records are looked up half a tick after their time, where no rounding of time moves them to a neighbor
         return Samples(self.table, (self.start.double() - 0.5) * (h_ns * NANO), owner)
 

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
 from bsk_torch._checks import number, parts, vector
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -59,11 +58,6 @@ def described_bars(arguments: UserArguments) -> tuple[TorqueBar, ...]:
     return listed
 
 
-def unit_bars(args: Values) -> Tensor:
-    """Return the directions of the dipoles, [n or 1, T, 3], of length one."""
-    return unit_rows(args["barAxes_B"])
-
-
 def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
     """Return the torque, N m in B, ``L = (sum_i g_i m_i) x [BN] B_N``, of the dipoles m_i, A m^2, about the axes g_i.
 
@@ -88,7 +82,10 @@ def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
         args=(ARGS[0], axes, dipoles),
         state=(Field("bar_command", count, "A m^2", "dipoles of the bars, of the flight software or a user", many=True),),
         params=(Field("bar_axes_B", 3 * count, vectors=True), Field("bar_max_dipole", count, "A m^2", many=True)),
-        prepare=lambda args: {"bar_axes_B": unit_bars(args).flatten(-2), "bar_max_dipole": args["barMaxDipoles"]},
+        prepare=lambda args: {
+            "bar_axes_B": unit_rows(args["barAxes_B"]).flatten(-2),
+            "bar_max_dipole": args["barMaxDipoles"],
+        },
         check=check_axis("barAxes_B"),
         effector=Effector(ambient=magnetic_torque),
     )

@@ -211,17 +211,12 @@ def latch(form: WheelForm) -> Callable[[Bus], None]:
     return latch_motor_torques
 
 
-def unit_axes(args: Values) -> Tensor:
-    """Return the axes of the wheels, [n or 1, N, 3], of length one."""
-    return unit_rows(args["rwAxes_B"])
-
-
 def free_tensor_moments(args: Values) -> Tensor:
     """Return the principal moments [n or 1, 3], kg m^2, of ``I - sum_i J_i g_i g_i^T``, in ascending order.
 
     This is the inertia of the body without the spin of its wheels, of inertia J_i about axes g_i.
     """
-    axes = unit_axes(args)
+    axes = unit_rows(args["rwAxes_B"])
     return torch.linalg.eigvalsh(inertia_tensor(args) - (axes.mT * args["rwJs"].unsqueeze(-2)) @ axes)
 
 
@@ -259,7 +254,7 @@ def parameters_of(form: WheelForm) -> tuple[str, ...]:
 
 def _prepare(form: WheelForm, args: Values) -> dict[str, Tensor]:
     parameters = {name: args[PARAMETERS[name][0]] * PARAMETERS[name][1] for name in parameters_of(form)}
-    return parameters | {"wheel_axes_B": unit_axes(args).flatten(-2)}
+    return parameters | {"wheel_axes_B": unit_rows(args["rwAxes_B"]).flatten(-2)}
 
 
 def _check(form: WheelForm, args: Values) -> None:
@@ -300,7 +295,7 @@ def check_inertia(args: Values) -> None:
 def _check_tick(args: Values, h: float) -> None:
     """Check that ticks of h s resolve initial rates of body and wheels, and what the motors can do in one."""
     moments = free_tensor_moments(args)
-    spin = (unit_axes(args) * (args["rwJs"] * args["wheelSpeeds"] * RPM).unsqueeze(-1)).sum(-2)
+    spin = (unit_rows(args["rwAxes_B"]) * (args["rwJs"] * args["wheelSpeeds"] * RPM).unsqueeze(-1)).sum(-2)
     check_turn(args, body_momentum(args) + spin, moments, h, "wheelSpeeds and omega_init turn")
     strongest = torch.where(torch.isinf(args["u_max"]), torch.zeros_like(args["u_max"]), args["u_max"]).amax(-1, keepdim=True)
     kick = torch.cat([strongest.clamp(min=0.0) * h, torch.zeros_like(strongest).expand(-1, 2)], -1)
