@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
-from bsk_torch.sim.dyn.effectors.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
+from bsk_torch.sim.dyn.effectors.thrusters import ARMS, THRUST, arms_about_center, described_thrusters
 from bsk_torch.sim.dyn.effectors.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
 
@@ -23,12 +23,12 @@ Pairs = tuple[Tensor, ...]
 
 
 @functools.cache
-def impulse_map(pairs: ThrusterPairs) -> list[list[float]]:
-    """Return the impulse of each thruster of the pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
+def pair_map() -> list[list[float]]:
+    """Return the impulse of each thruster of the default pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
 
     D has the torque per newton, m, of each thruster; those of a pair are equal, so that ``D D^T`` is twice that of the pairs.
     """
-    D = torch.tensor(pairs.arms, dtype=torch.float64).mT
+    D = torch.tensor(ARMS, dtype=torch.float64).mT
     mapping: list[list[float]] = (D.mT @ torch.linalg.inv(2.0 * D @ D.mT)).tolist()
     return mapping
 
@@ -53,7 +53,7 @@ def impulses(dH: Vec3, rows: Iterable[Sequence[Tensor | float]]) -> Pairs:
     """Return the impulse, N s, of each thruster for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
-    have no torque, if the thrusters are symmetric. The ``rows`` are those of :func:`impulse_map`.
+    have no torque, if the thrusters are symmetric. The ``rows`` are those of :func:`pair_map`.
     """
     wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in rows]
     least = torch.clamp(_least(wanted), max=0.0)
@@ -161,13 +161,6 @@ def _prepare(args: Values) -> dict[str, Tensor]:
     return {"momentum_to_keep": args["hs_min"], "dump_wait": args["maxCounterValue"], "shortest_pulse": args["thrMinFireTime"]}
 
 
-@functools.cache
-def pair_desaturation(pairs: ThrusterPairs) -> Component:
-    """Return the component that dumps momentum by pairs of thrusters."""
-    count = len(pairs.positions)
-    return desaturation(count, lambda bus: impulse_map(pairs), lambda bus: [pairs.thrust] * count)
-
-
 def _prepare_set(args: Values) -> dict[str, Tensor]:
     return _prepare(args) | {
         "impulse_map": torch.linalg.pinv(arms_about_center(args).mT).flatten(-2),
@@ -221,5 +214,5 @@ def fitted_desaturation(arguments: UserArguments) -> Component:
     return DESATURATION if listed is None else set_desaturation(len(listed))
 
 
-DESATURATION = pair_desaturation(EIGHT_THRUSTERS)
+DESATURATION = desaturation(len(ARMS), lambda bus: pair_map(), lambda bus: [THRUST] * len(ARMS))
 """Desaturation by the eight default thrusters, unless the arguments describe others."""
