@@ -15,7 +15,7 @@ from bsk_torch.astro.earth_rotation import EARTHS
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
-from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
+from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.visibility.planned import take_rows
 from bsk_torch.sim.access.windows.search import AccessWindows
@@ -123,7 +123,8 @@ class Simulator:
             compat=satellite_type.compat,
             blind=self.orbit == "free",
             sampled=satellite_type.sampled,
-            manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
+            maneuvers=self.has_tank and (options.replan or self.orbit == "arc"),
+            replans=self.has_tank and options.replan,
         )
         self.state.add("lookahead", self.lookahead)
         self.sources: dict[str, TrackSource] = {}
