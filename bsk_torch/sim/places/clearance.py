@@ -84,8 +84,9 @@ class Clearance(Protocol):
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Return False, [n, ...], where the condition cannot hold as long as neither satellite nor place is further away.
 
-        The satellite moves by up to ``moved_B``, the place by up to ``moved_L`` m. True is always right, but slow.
+        The satellite moves by up to ``moved_B``, the place by up to ``moved_L`` m. True, the default, is always right, but slow.
         """
+        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
 
 
 Limit = float | Callable[[Tensor], Tensor]
@@ -110,9 +111,8 @@ class AboveElevation:
     def margin(self, sight: Sight) -> Tensor:
         """Return how far the satellite is above the least elevation, by :func:`~bsk_torch.astro.sight.elevation_clearance`."""
         least = limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)
-        if self.vertical == "wgs84":
-            return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least, axis_shift(sight.r_LP_P))
-        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least)
+        shift = axis_shift(sight.r_LP_P) if self.vertical == "wgs84" else None
+        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least, shift)
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the central angle with the largest one: a point at r that moves by d turns by at most asin(d / r)."""
@@ -164,7 +164,7 @@ class ClearOfEarth:
 
 
 @dataclass(frozen=True)
-class Lit:
+class Lit(Clearance):
     """The Sun shines on the place: at least the fraction ``visible`` of its diameter is above the Earth's limb there.
 
     0 is the edge of the umbra, 1 that of the penumbra; at 0.5 half of the Sun's disc is visible. On the ground, the Sun is above
@@ -177,13 +177,9 @@ class Lit:
         """Return how far the place is in the light, by :func:`~bsk_torch.astro.eclipse.sunlight_margin`."""
         return sunlight_margin(sight.r_LP_P, Vec3.of(sight.tables.sun(sight.rows, sight.time)), self.visible)
 
-    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
-        """Return True: light changes too quickly in orbit to screen by it."""
-        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
-
 
 @dataclass(frozen=True)
-class SunElevation:
+class SunElevation(Clearance):
     """The Sun is at or above an elevation at the place, or at or below it if ``below``; ``sine`` is that of the elevation."""
 
     sine: Limit
@@ -199,7 +195,3 @@ class SunElevation:
         sine = sin_elevation(Vec3.of(tables.sun(rows, time)), r_LP_P, vertical_of(r_LP_P, self.vertical))
         above = sine - limit_of(rows, self.sine, sine)
         return -above if self.below else above
-
-    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
-        """Return True: the Sun moves for as long as the satellite does, which is not known here."""
-        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
