@@ -156,6 +156,8 @@ def _of_batches(value: Any) -> Any:
 
 
 class _World(_Reading):
+    _now: Now
+
     def __init__(self, now: Now) -> None:
         super().__init__("world")
         self.__dict__["_now"] = now

@@ -138,8 +138,7 @@ def _mapped(value: object, function: Callable[[Tensor], Tensor]) -> object:
     if isinstance(value, Tensor):
         return function(value) if value.ndim else value
     if isinstance(value, tuple | list):
-        parts = [_mapped(part, function) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+        return getattr(value, "_make", type(value))(_mapped(part, function) for part in value)
     if isinstance(value, SimpleNamespace | Bus):
         other = copy.copy(value)
         vars(other).update((name, _mapped(part, function)) for name, part in vars(value).items())

@@ -24,7 +24,7 @@ from torch import Tensor
 from bsk_torch._checks import number, vector
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
-from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, described, of_each, unit_rows
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.sim.names import nearest
@@ -175,10 +175,6 @@ def thruster_set(pushes: bool, listed: tuple[Thruster, ...]) -> Component:
         "thrusterMaxThrust": tuple(part.thrust for part in listed),
     }
 
-    def of_set(arg: Arg) -> Arg:
-        one = (arg.shape or ())[1:]
-        return replace(arg, default=defaults[arg.name], shape=(count, *one), spread=not one)
-
     def prepare(args: Values) -> dict[str, Tensor]:
         forces, torques = forces_and_arms(args)
         parameters = {"thruster_torques_B": torques.flatten(-2)}
@@ -195,7 +191,7 @@ def thruster_set(pushes: bool, listed: tuple[Thruster, ...]) -> Component:
     )
     return replace(
         thrusters(count, fires),
-        args=(ARGS[0], *(of_set(arg) for arg in ARGS[1:])),
+        args=(ARGS[0], *(of_each(arg, count, defaults[arg.name]) for arg in ARGS[1:])),
         params=tuple(Field(name, 3 * count, vectors=True) for name in vectors),
         prepare=prepare,
         check=check_axis("thrusterDirections_B"),

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
 from bsk_torch._checks import number, parts, vector
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments
-from bsk_torch.sim.dyn.axes import check_axis, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, of_each, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
 MOST_BARS = 36  # length of the arrays in Basilisk's messages
@@ -74,8 +74,8 @@ def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
 def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
     """Return the component of torque bars; ``listed`` are the defaults of its arguments."""
     count = len(listed)
-    axes = replace(ARGS[1], default=tuple(bar.axis for bar in listed), shape=(count, 3))
-    dipoles = replace(ARGS[2], default=tuple(bar.maxDipole for bar in listed), shape=(count,), spread=True)
+    axes = of_each(ARGS[1], count, tuple(bar.axis for bar in listed))
+    dipoles = of_each(ARGS[2], count, tuple(bar.maxDipole for bar in listed))
     return Component(
         slot="torque_bars",
         after="disturbance",

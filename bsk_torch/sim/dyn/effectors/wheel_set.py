@@ -6,7 +6,6 @@ wheels have, friction for example, is fixed when the tick is built, by :class:`W
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 import operator
@@ -20,7 +19,7 @@ from bsk_torch._checks import parts
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
-from bsk_torch.sim.dyn.axes import check_axis, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, of_each, unit_rows
 from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD, Wheel
 from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body, given_numbers, inertia_tensor
 from bsk_torch.sim.faults.declared import may_change
@@ -312,11 +311,6 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     if not count:
         return Component(slot="wheels", args=ARGS)
     defaults = wheel_defaults(wheels) | {"wheelSpeeds": Uniform(-1500.0, 1500.0, count)}
-
-    def of_set(arg: Arg) -> Arg:
-        one = arg.dims[1:] if arg.shape else ()
-        return dataclasses.replace(arg, kind="scalar", default=defaults[arg.name], shape=(count, *one), spread=not one)
-
     state = [Field("Omega_WB_B", count, "rad/s", "wheel speeds", many=True)]
     state += [Field(name, count, "N m", many=True) for name in ("motor_torque_B", "motor_torque_command_B")]
     if form.stribeck:
@@ -325,7 +319,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     return Component(
         slot="wheels",
         update=latch(form),
-        args=tuple(of_set(arg) if arg.name in defaults else arg for arg in ARGS),
+        args=tuple(of_each(arg, count, defaults[arg.name]) if arg.name in defaults else arg for arg in ARGS),
         state=tuple(state),
         params=(*(Field(name, count, many=True) for name in parameters_of(form)), Field("wheel_axes_B", 3 * count, vectors=True)),
         reads=MOTION,
