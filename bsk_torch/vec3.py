@@ -164,7 +164,7 @@ def times(matrix: Vec3 | Mat3, v: Vec3) -> Vec3:
     return matrix.scale(v) if isinstance(matrix, Vec3) else matrix @ v
 
 
-def only(mask: Any, compute: Callable[[], T], otherwise: T) -> T:
+def only(mask: Tensor, compute: Callable[[], T], otherwise: T) -> T:
     """``compute()`` where ``mask`` holds, else ``otherwise``; both are a tensor, a vector or a tuple of such.
 
     Compiled kernels skip ``compute`` where no environment of a block needs it, so ``compute`` must only compute.

@@ -25,7 +25,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -98,7 +98,7 @@ def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
 
     ``signature`` has a letter for each parameter: p for a contiguous tensor or None, i for an integer.
     """
-    types: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
+    types: dict[str, type] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
     function = library.run
     function.argtypes, function.restype = [types[code] for code in signature], None
 

@@ -72,7 +72,7 @@ class Value:
         """The number of a constant, else None."""
         return self.attr if self.op == "constant" else None
 
-    def is_input(self, *attr: Any) -> bool:
+    def is_input(self, *attr: object) -> bool:
         """Return whether this is an input from a source, or the input of that index."""
         return self.op == "input" and self.attr[: len(attr)] == attr
 

@@ -375,7 +375,7 @@ class Arguments:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {name: self._drawn_or_kept(self.table[name], key, rows, answers, et) for name in names}
 
-    def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
+    def override(self, name: str, values: Tensor | None, columns: Tensor, given: Tensor) -> Tensor:
         """Return drawn values of an argument, or None, with those of some satellites replaced, [n * S, ...].
 
         ``given`` [n, c, ...] are the values of the satellites ``columns`` [c] of the type. KeyError for an unknown name,
