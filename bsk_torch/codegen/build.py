@@ -56,9 +56,6 @@ Scheduling with regard to register pressure makes them 10 % faster."""
 PORTABLE_FLAGS = ("-ffp-contract=off",)
 """Options behind these for kernels with the same results on other processors, see :mod:`bsk_torch._portable`."""
 
-ISAS = ("avx512", "avx2", "default")
-"""Values of ``BSK_TORCH_ISA``."""
-
 IN_USE = {"AVX512": "avx512", "AVX2": "avx2"}
 """Instructions by what torch calls its own; on other processors torch's inductor chooses."""
 
@@ -262,8 +259,8 @@ def _chosen_isa() -> str:
     if (target := shipped.BUILDING.get()) is not None:
         return target.isa
     isa = os.environ.get("BSK_TORCH_ISA", "")
-    if isa not in ("", *ISAS):
-        raise ValueError(f"BSK_TORCH_ISA={isa} must be one of {', '.join(ISAS)}")
+    if isa not in ("", *shipped.LEVELS):
+        raise ValueError(f"BSK_TORCH_ISA={isa} must be one of {', '.join(shipped.LEVELS)}")
     return isa
 
 

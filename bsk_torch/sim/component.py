@@ -441,12 +441,12 @@ _JOINED: dict[str, Callable[[Any, Any], Any]] = {
 """How an entry of a component and an addition to it become one, see :meth:`Component.extended`."""
 
 
-def collect(classes: Iterable[type], attribute: str = "components", schedule: Schedule = SCHEDULE) -> tuple[Component, ...]:
+def collect(classes: Iterable[type], schedule: Schedule = SCHEDULE) -> tuple[Component, ...]:
     """Return the components of ``classes`` in the order of a schedule; a later class replaces the slots of an earlier one.
 
     Components with a place in the schedule of another dynamics model only come last.
     """
-    listed = (component for cls in classes for component in vars(cls).get(attribute, ()))
+    listed = (component for cls in classes for component in vars(cls).get("components", ()))
     return schedule.listed(replaced(listed))
 
 
