@@ -308,13 +308,14 @@ class Simulator:
                 f"rows must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
             )
         no_gradient("dv_N", dv_N)
-        done = burn(dv_N.double(), state.read("dv_available"))
-        infinite, clipped = torch.stack([(rows & ~torch.isfinite(dv_N).all(-1)).any(), (rows & done.clipped).any()]).tolist()
-        if infinite:
-            row = int(torch.nonzero(rows & ~torch.isfinite(dv_N).all(-1))[0])
+        flown_N, remaining, exceeds = burn(dv_N.double(), state.read("dv_available"))
+        infinite, clipped = rows & ~torch.isfinite(dv_N).all(-1), rows & exceeds
+        any_infinite, any_clipped = torch.stack([infinite.any(), clipped.any()]).tolist()
+        if any_infinite:
+            row = int(torch.nonzero(infinite)[0])
             raise ValueError(f"thrust(rows, dv_N): dv_N[{row}] is {dv_N[row].tolist()} m/s; it must be finite")
-        if clipped and self.type.arguments.is_new("tank"):
-            row = int(torch.nonzero(rows & done.clipped)[0])
+        if any_clipped and self.type.arguments.is_new("tank"):
+            row = int(torch.nonzero(clipped)[0])
             logger.warning(
                 "dv_N[%d] requests %g m/s but %g m/s remain; clipped, and the satellite is marked dead; this is logged once",
                 row,
@@ -322,8 +323,8 @@ class Simulator:
                 float(state.read("dv_available")[row]),
             )
         before = state.read("delta_v_N")
-        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.type.compat else before), before)
-        state.write("dv_available", rows, done.remaining)
+        after = torch.where(rows.unsqueeze(-1), flown_N + (0.0 if self.type.compat else before), before)
+        state.write("dv_available", rows, remaining)
         state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
         state.write("delta_v_N", rows, after)
         if self.lookahead.follows:

@@ -42,9 +42,14 @@ class EncounterPairs(NamedTuple):
     ranges: tuple[tuple[int, int], ...]  # deputies, each with its chief
 
     @property
+    def all(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of both kinds, ranges last."""
+        return (*self.conjunctions, *self.ranges)
+
+    @property
     def watched(self) -> set[int]:
         """Satellites whose positions are looked at."""
-        return {column for pair in (*self.conjunctions, *self.ranges) for column in pair}
+        return {column for pair in self.all for column in pair}
 
     def among(self, chosen: Sequence[int]) -> EncounterPairs:
         """Return the pairs of some satellites alone, by their numbers among these."""
@@ -152,9 +157,8 @@ class Encounters:
     def __init__(self, fleet: Fleet, pairs: EncounterPairs, compat: bool) -> None:
         """Declare what the episodes remember, and end the steps of the fleet; ``compat`` repeats the bookings of recordings."""
         self.fleet, self.pairs = fleet, pairs
-        every = (*pairs.conjunctions, *pairs.ranges)
-        self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in every))
-        self._pair = tuple(self._distances.index(tuple(sorted(pair))) for pair in every)
+        self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in pairs.all))
+        self._pair = tuple(self._distances.index(tuple(sorted(pair))) for pair in pairs.all)
         places = sorted((c, k, i) for k, columns in enumerate(fleet.columns) for i, c in enumerate(columns.tolist()))
         self._places, size = [(k, i) for _, k, i in places], fleet.size
         booked = torch.zeros(len(pairs.conjunctions), size, size, dtype=torch.bool)
@@ -166,7 +170,7 @@ class Encounters:
             fleet.memory.declare(MET, False, len(pairs.conjunctions))
         if pairs.ranges:
             fleet.memory.declare(LEFT, False, len(pairs.ranges))
-        if every:
+        if pairs.all:
             fleet.stop_conditions.append(self.first_tick)
             fleet.flight_observers.append(self.book)
 
@@ -198,8 +202,7 @@ class Encounters:
         if self.fleet.present is None:
             return waiting
         present = self.fleet.present[envs]
-        every = (*self.pairs.conjunctions, *self.pairs.ranges)
-        return waiting & torch.stack([present[:, one] & present[:, other] for one, other in every], 1)
+        return waiting & torch.stack([present[:, one] & present[:, other] for one, other in self.pairs.all], 1)
 
     def _tracks(self, flight: Flight) -> dict[int, Tensor]:
         """Return the recorded positions of the watched satellites, [n, K + 1, 3] m each, by their numbers."""
