@@ -188,8 +188,7 @@ class Observer:
                 self.missed[function] = None
                 value = as_tensor(function(self.now))
             else:
-                table = self._read_all(kernel) if self._table is None else self._table
-                value = kernel.column(table, function)
+                value = kernel.column(self._present(kernel), function)
             self._values[function] = value
         return value
 
@@ -204,23 +203,21 @@ class Observer:
         columns = None if kernel is None else kernel.columns(functions, kind)
         if kernel is None or columns is None:
             return None
-        if self._version != self.state.version:
-            self._forget_the_past()
-        columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
+        columns_read = self._present(kernel)[:, columns]
         return columns_read > 0.5 if kind is bool else columns_read
 
     def table(self) -> tuple[Tensor, ObserverKernel] | None:
         """Return all that the kernel computes, [N, W], and the kernel, which knows the columns; None without a kernel."""
         kernel = (self._kernel or self._built()) if self.kernels and self.wanted else None
-        if kernel is None:
-            return None
+        return None if kernel is None else (self._present(kernel), kernel)
+
+    def _present(self, kernel: ObserverKernel) -> Tensor:
+        """Return all that the kernel computes, [N, W]."""
         if self._version != self.state.version:
             self._forget_the_past()
-        return self._read_all(kernel) if self._table is None else self._table, kernel
-
-    def _read_all(self, kernel: ObserverKernel) -> Tensor:
-        table = self._table = kernel(self.state, self.arcs)
-        return table
+        if self._table is None:
+            self._table = kernel(self.state, self.arcs)
+        return self._table
 
     @property
     def now(self) -> Now:
