@@ -436,7 +436,8 @@ _JOINED: dict[str, Callable[[Any, Any], Any]] = {
     **dict.fromkeys(("update", "check"), _one_after_the_other),
     **dict.fromkeys(("args", "state", "params"), _merged),
     **dict.fromkeys(("initial", "prepare"), _united),
-    **dict.fromkeys(("reads", "flags", "resets"), lambda first, second: (*first, *second)),
+    **dict.fromkeys(("reads", "resets"), lambda first, second: (*first, *second)),
+    "flags": lambda first, second: tuple(dict.fromkeys((*first, *second))),
 }
 """How an entry of a component and an addition to it become one, see :meth:`Component.extended`."""
 
