@@ -27,7 +27,7 @@ from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.sim.places import ClearOfEarth, Lit, OrbitingPlaces, PlaceTables, WithinRange
 
 CPU = torch.device("cpu")

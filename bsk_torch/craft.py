@@ -180,14 +180,9 @@ def from_slew_limits(
         ValueError: For numbers out of range, and a settling time of less than two ticks.
     """
     title = "from_slew_limits"
-    v, a, w = (
-        math.radians(number(f"{title}: {name}", value, 1e-4, 100.0, unit=unit))
-        for name, value, unit in (
-            ("max_rate_deg_s", max_rate_deg_s, "deg/s"),
-            ("max_acceleration_deg_s2", max_acceleration_deg_s2, "deg/s^2"),
-            ("tracking_rate_deg_s", tracking_rate_deg_s, "deg/s"),
-        )
-    )
+    v = math.radians(number(f"{title}: max_rate_deg_s", max_rate_deg_s, 1e-4, 100.0, unit="deg/s"))
+    a = math.radians(number(f"{title}: max_acceleration_deg_s2", max_acceleration_deg_s2, 1e-4, 100.0, unit="deg/s^2"))
+    w = math.radians(number(f"{title}: tracking_rate_deg_s", tracking_rate_deg_s, 1e-4, 100.0, unit="deg/s"))
     h = number(f"{title}: h", h, 0.0, unit="s", above=True)
     number(f"{title}: settling_time", settling_time, 2.0 * h, unit="s")
     number(f"{title}: margin", margin, 1.1, 100.0)

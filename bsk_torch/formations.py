@@ -212,14 +212,9 @@ def walker_star_args(
     return _Walker("walker_star_args", STAR_NODES, n_planes, rel_phasing, altitude, inc, *turned, *clusters, phasing)
 
 
-def _check_counts(**counts: object) -> None:
-    for name, value in counts.items():
-        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST_SATELLITES:
-            raise ValueError(f"{name}={value!r} must be a positive integer, up to {MOST_SATELLITES}")
-
-
 def _filled(n_spacecraft: int, n_planes: int, clustersize: int) -> tuple[int, int, int]:
-    _check_counts(n_spacecraft=n_spacecraft, n_planes=n_planes, clustersize=clustersize)
+    for name, value in (("n_spacecraft", n_spacecraft), ("n_planes", n_planes), ("clustersize", clustersize)):
+        whole(name, value, 1, MOST_SATELLITES)
     if n_spacecraft % n_planes:
         raise ValueError(
             f"{n_spacecraft} satellites do not fill n_planes={n_planes} equally; "
@@ -241,9 +236,9 @@ def _divisors(n: int) -> list[int]:
 def _pattern(
     counts: tuple[int, int, int], rel_phasing: float, altitude: float, inc: float, clusterspacing: float, nodes: float
 ) -> Tensor:
-    angles = _checked_angles(rel_phasing, clusterspacing)
+    ahead, spacing = _checked_angles(rel_phasing, clusterspacing)
     altitude, inc = number("altitude", altitude, 0.0, 1e9, unit="m"), number("inc", inc, -180.0, 180.0, unit="degrees")
-    return _walker(counts, angles[0], altitude, inc, angles[1], nodes)
+    return _walker(counts, ahead, altitude, inc, spacing, nodes)
 
 
 def _checked_angles(rel_phasing: object, clusterspacing: object) -> tuple[float, float]:
@@ -303,7 +298,8 @@ class _Walker(Formation):
     phasing: int | None
 
     def __post_init__(self) -> None:
-        _check_counts(n_planes=self.n_planes, clustersize=self.clustersize)
+        whole("n_planes", self.n_planes, 1, MOST_SATELLITES)
+        whole("clustersize", self.clustersize, 1, MOST_SATELLITES)
         self.rel_phasing, self.clusterspacing = _checked_angles(self.rel_phasing, self.clusterspacing)
         for name in ("randomize_true_anomaly", "randomize_lan"):
             setattr(self, name, switch(name, getattr(self, name)))
@@ -459,11 +455,9 @@ class _Relative(Formation):
 
     @override
     def check(self, names: Sequence[str]) -> None:
-        for what, name in (
-            ("chief_name", self.chief_name),
-            *(("deputy_relative_state", name) for name in self.deputy_relative_state),
-        ):
+        for name in (self.chief_name, *self.deputy_relative_state):
             if name not in names:
+                what = "chief_name" if name == self.chief_name else "deputy_relative_state"
                 raise ValueError(f"relative_to_chief: {what} has {name!r}, which is not a satellite; {nearest(name, names)}")
         super().check(names)
 

@@ -89,21 +89,20 @@ def _checked_numbers(value: object) -> object:
 # -- JSON ---------------------------------------------------------------------------------------------------------------------
 
 
-def read_json(path: Path | str, schema: type[Schema], wrong: str, most: int = MOST_JSON) -> Schema:
+def read_json(path: Path | str, schema: type[Schema], wrong: str) -> Schema:
     """Return the content of a JSON file.
 
     Args:
         path: The file.
         schema: Type of the content: a dataclass, a TypedDict, :data:`Json`, or a container of these, as Pydantic reads it.
         wrong: What a file is that does not fit, for the message, such as ``"is no catalog"``.
-        most: Largest size, bytes.
 
     Raises:
         OSError: If it cannot be read.
         ValueError: For any other content; the message names the file and the first wrong entry.
     """
     try:
-        return parse_json(read_bytes(path, most), schema)
+        return parse_json(read_bytes(path, MOST_JSON), schema)
     except ValueError as error:
         raise ValueError(f"{str(path)!r} {wrong}: {error}") from None
 

@@ -116,7 +116,10 @@ class Mat3(NamedTuple):
         return Mat3(self.x - other.x, self.y - other.y, self.z - other.z)
 
     def solve(self, v: Vec3) -> Vec3:
-        """Return x with ``M x = v`` by Cramer's rule: ``M^-1 = [y x z, z x x, x x y] / (x . (y x z))`` of the rows x, y and z."""
+        """Return x with ``M x = v`` by Cramer's rule; not finite where the matrix is singular.
+
+        ``M^-1 = [y x z, z x x, x x y] / (x . (y x z))`` of the rows x, y and z.
+        """
         columns = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
         inverse = 1.0 / self.x.dot(columns[0])
         return (columns[0] * v.x + columns[1] * v.y + columns[2] * v.z) * inverse
@@ -161,7 +164,7 @@ def times(matrix: Vec3 | Mat3, v: Vec3) -> Vec3:
     return matrix.scale(v) if isinstance(matrix, Vec3) else matrix @ v
 
 
-def only(mask: Any, compute: Callable[[], T], otherwise: T) -> T:
+def only(mask: Tensor, compute: Callable[[], T], otherwise: T) -> T:
     """``compute()`` where ``mask`` holds, else ``otherwise``; both are a tensor, a vector or a tuple of such.
 
     Compiled kernels skip ``compute`` where no environment of a block needs it, so ``compute`` must only compute.

@@ -20,7 +20,7 @@ from bsk_torch.codegen import build
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.orbit.arcs import Arcs
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 
 pytest_plugins = ["tests.support.levels"]
 

@@ -26,16 +26,11 @@ class LinearMotion(NamedTuple):
 
     The position rho and the velocity rho', as seen in the rotating frame, are those at the start, in the Hill frame of the start;
     the result is in the Hill frame of its moment. Rows stand last, so that operations run along them.
-
-    Attributes:
-        rr: Components of shape [S, K, N].
-        rv: The same, s.
-        time: Moments, [S, K] s.
     """
 
-    rr: Mat3
-    rv: Mat3
-    time: Tensor
+    rr: Mat3  # components of shape [S, K, N]
+    rv: Mat3  # the same, s
+    time: Tensor  # moments, [S, K] s
 
     def mapped(self, function: Callable[[Tensor], Tensor]) -> tuple[Mat3, Mat3]:
         """Return both matrices with ``function`` applied to each component."""

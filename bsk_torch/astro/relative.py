@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.astro.orbit import hill_frame, hill_rate, hill_to_inertial
-from bsk_torch.vec3 import Mat3, Vec3
+from bsk_torch.vec3 import Vec3
 
 __all__ = ["cd2hill", "elevation", "fibonacci_sphere", "hill2cd", "lla2ecef", "rv2HN", "rv2omega"]
 
@@ -44,11 +44,6 @@ def vectors(*values: Numeric) -> list[Vec3]:
         if not tensor.ndim or tensor.shape[-1] != 3:
             raise ValueError(f"a vector has shape {list(tensor.shape)}; it must be [3] or [..., 3]")
     return [Vec3.of(tensor) for tensor in tensors]
-
-
-def stacked(matrix: Mat3) -> Tensor:
-    """Return a matrix as a tensor [..., 3, 3]."""
-    return torch.stack([row.stack() for row in matrix], -2)
 
 
 def elevation(r_sat: Numeric, r_target: Numeric) -> Any:
@@ -86,7 +81,7 @@ def rv2HN(r_N: Numeric, v_N: Numeric) -> Any:
         r_N: Position, [..., 3].
         v_N: Velocity, [..., 3].
     """
-    return like(stacked(hill_frame(*vectors(r_N, v_N))), r_N, v_N)
+    return like(hill_frame(*vectors(r_N, v_N)).stack(), r_N, v_N)
 
 
 def rv2omega(r_N: Numeric, v_N: Numeric) -> Any:
@@ -145,4 +140,5 @@ def aligned_with_hill(r_N: Numeric, v_N: Numeric) -> tuple[Tensor, Tensor, Tenso
     """Return attitude sigma_BN [3] and rate omega_HN_B [3] rad/s of a body whose axes are those of the Hill frame, and [HN]."""
     r, v = vectors(r_N, v_N)
     zero = torch.zeros_like(r.x)
-    return dcm_to_mrp(hill_frame(r, v)).stack(), torch.stack([zero, zero, hill_rate(r, v)], -1), stacked(hill_frame(r, v))
+    HN = hill_frame(r, v)
+    return dcm_to_mrp(HN).stack(), torch.stack([zero, zero, hill_rate(r, v)], -1), HN.stack()

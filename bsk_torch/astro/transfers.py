@@ -134,7 +134,7 @@ def transfers(motion: LinearMotion, rho: Tensor, velocity: Tensor, targets: Tens
     start, before = Vec3.of(rho), Vec3.of(velocity)
     missed = Vec3.of(targets.unsqueeze(1)) - motion.at(-1, start, before).map(lambda x: x.unsqueeze(1))
     rv = Mat3(*(row.map(lambda x: x[-1].unsqueeze(1)) for row in motion.rv))
-    dv = solve(rv, missed)
+    dv = rv.solve(missed)
     cost = dv.norm()
     exists = torch.isfinite(cost)
     cost = torch.where(exists, cost, torch.inf)
@@ -142,13 +142,6 @@ def transfers(motion: LinearMotion, rho: Tensor, velocity: Tensor, targets: Tens
     if most is not None:
         dv = dv * (most / cost.clamp(min=SMALLEST)).clamp(max=1.0)
     return Transfers(dv, _rows_first(cost), motion, start, before)
-
-
-def solve(matrix: Mat3, vector: Vec3) -> Vec3:
-    """Return x of ``matrix @ x = vector`` by Cramer's rule; not finite where the matrix is singular."""
-    a, b, c = matrix
-    bc, ca, ab = b.cross(c), c.cross(a), a.cross(b)
-    return (bc * vector.x + ca * vector.y + ab * vector.z) / a.dot(bc)
 
 
 def closest(a: Vec3, b: Vec3) -> Tensor:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import torch
 
 from bsk_torch.codegen.ir import UntraceableError
-from bsk_torch.codegen.trace import FUNCTIONS, UNKNOWN, Proxy
+from bsk_torch.codegen.trace import COMPARISONS, FUNCTIONS, OPERATORS, UNARY, UNKNOWN, Proxy
 
 Cells = npt.NDArray[np.object_]
 """Entries of a row: values of a kernel, or numbers."""
@@ -302,13 +302,10 @@ def _operator(name: str, swapped: bool) -> Callable[[Batch, object], Batch]:
     return lambda self, other: function(other, self) if swapped else function(self, other)
 
 
-for _name, _function in {
-    **{"add": "add", "sub": "sub", "mul": "mul", "truediv": "div", "mod": "remainder"},
-    **{name: f"bitwise_{name}" for name in ("and", "or", "xor")},
-}.items():
+for _name, _function in OPERATORS.items():
     setattr(Batch, f"__{_name}__", _operator(_function, False))
     setattr(Batch, f"__r{_name}__", _operator(_function, True))
-for _name in ("gt", "lt", "ge", "le", "eq", "ne"):
+for _name in COMPARISONS:
     setattr(Batch, f"__{_name}__", _operator(_name, False))
-for _name, _function in {"neg": "neg", "abs": "abs", "invert": "bitwise_not", "pow": "pow"}.items():
+for _name, _function in UNARY.items():
     setattr(Batch, f"__{_name}__", _lifted(_function))

@@ -25,7 +25,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -55,9 +55,6 @@ Scheduling with regard to register pressure makes them 10 % faster."""
 
 PORTABLE_FLAGS = ("-ffp-contract=off",)
 """Options behind these for kernels with the same results on other processors, see :mod:`bsk_torch._portable`."""
-
-ISAS = ("avx512", "avx2", "default")
-"""Values of ``BSK_TORCH_ISA``."""
 
 IN_USE = {"AVX512": "avx512", "AVX2": "avx2"}
 """Instructions by what torch calls its own; on other processors torch's inductor chooses."""
@@ -98,7 +95,7 @@ def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
 
     ``signature`` has a letter for each parameter: p for a contiguous tensor or None, i for an integer.
     """
-    types: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
+    types: dict[str, type] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
     function = library.run
     function.argtypes, function.restype = [types[code] for code in signature], None
 
@@ -262,8 +259,8 @@ def _chosen_isa() -> str:
     if (target := shipped.BUILDING.get()) is not None:
         return target.isa
     isa = os.environ.get("BSK_TORCH_ISA", "")
-    if isa not in ("", *ISAS):
-        raise ValueError(f"BSK_TORCH_ISA={isa} must be one of {', '.join(ISAS)}")
+    if isa not in ("", *shipped.LEVELS):
+        raise ValueError(f"BSK_TORCH_ISA={isa} must be one of {', '.join(shipped.LEVELS)}")
     return isa
 
 

@@ -15,7 +15,7 @@ import ctypes
 import math
 import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import torch
@@ -50,52 +50,42 @@ def require_dtype(dtype: torch.dtype) -> torch.dtype:
 # -- the graph ---------------------------------------------------------------------------------------------------------------
 
 
+@dataclass(eq=False, repr=False)
 class Value:
-    """One number of every row.
+    """One number of every row, made by a :class:`Program`.
 
     ``op`` is ``constant`` (``attr`` is the number), ``input`` (``attr`` is its source and its index there), ``merge`` (``args``
     are the mask, the value computed in a region and the one that holds elsewhere) or the name of an operation on ``args``.
-    ``region`` is the one that computes the value, ``index`` its number in the program.
     """
 
-    def __init__(
-        self,
-        program: Program[Any],
-        op: str,
-        args: tuple[Value, ...],
-        attr: Any,
-        dtype: torch.dtype,
-        lifetime: int,
-        region: Region,
-        index: int,
-    ) -> None:
-        """Values are made by a :class:`Program`."""
-        self.program, self.op, self.args, self.attr = program, op, args, attr
-        self.dtype, self.lifetime, self.region, self.index = dtype, lifetime, region, index
+    program: Program[Any]
+    op: str
+    args: tuple[Value, ...]
+    attr: Any
+    dtype: torch.dtype
+    lifetime: int
+    region: Region  # the one that computes the value
+    index: int  # its number in the program
 
     @property
     def number(self) -> Any:
         """The number of a constant, else None."""
         return self.attr if self.op == "constant" else None
 
-    def is_input(self, *attr: Any) -> bool:
+    def is_input(self, *attr: object) -> bool:
         """Return whether this is an input from a source, or the input of that index."""
         return self.op == "input" and self.attr[: len(attr)] == attr
 
 
+@dataclass(eq=False, repr=False)
 class Region:
-    """Values computed under a condition: where ``mask`` holds in some row of a block.
+    """Values computed under a condition: where ``mask`` holds in some row of a block."""
 
-    ``statements`` are its values and the regions inside it, in the order in which they were made; ``merges`` are the values
-    through which its results leave it.
-    """
-
-    def __init__(self, mask: Value | None, parent: Region | None) -> None:
-        """Make a region inside ``parent``; the root of a program has neither mask nor parent."""
-        self.mask, self.parent = mask, parent
-        self.statements: list[Value | Region] = []
-        self.values: dict[tuple[object, ...], Value] = {}
-        self.merges: list[Value] = []
+    mask: Value | None  # None, as the parent, for the root of a program
+    parent: Region | None
+    statements: list[Value | Region] = field(default_factory=list)  # its values and the regions inside it, in their order
+    values: dict[tuple[object, ...], Value] = field(default_factory=dict)
+    merges: list[Value] = field(default_factory=list)  # values through which its results leave it
 
     def chain(self) -> Iterator[Region]:
         """This region and those around it, from the inside out."""
@@ -120,7 +110,6 @@ class Program(Generic[V]):
     value_type: type[V] = Value  # type: ignore[assignment]
 
     def __init__(self) -> None:
-        """Start an empty program."""
         self.root = Region(None, None)
         self.region = self.root
         self.count = 0
@@ -299,25 +288,15 @@ CLOCKS = ("ticks", "start", "schedule")
 
 @dataclass(frozen=True)
 class Loop:
-    """A traced tick, to be repeated.
+    """A traced tick, to be repeated."""
 
-    Attributes:
-        program: Graph of all values.
-        outputs: State at the end of a tick, by rows.
-        tracks: Tables that a tick reads, numbered from 1 on.
-        written: Values recorded in every tick.
-        clock: Time at which tracks are looked up: one of :data:`CLOCKS`, or a row of the state, s.
-        schedule: Numbers of the schedule for each tick.
-        stop: Mask of the rows that end with this tick.
-    """
-
-    program: Program[Any]
-    outputs: Sequence[Value]
-    tracks: Sequence[TrackShape] = ()
-    written: Sequence[Value] = ()
-    clock: str | Value = "ticks"
-    schedule: int = 0
-    stop: Value | None = None
+    program: Program[Any]  # graph of all values
+    outputs: Sequence[Value]  # state at the end of a tick, by rows
+    tracks: Sequence[TrackShape] = ()  # tables that a tick reads, numbered from 1 on
+    written: Sequence[Value] = ()  # values recorded in every tick
+    clock: str | Value = "ticks"  # time at which tracks are looked up: one of CLOCKS, or a row of the state, s
+    schedule: int = 0  # numbers of the schedule for each tick
+    stop: Value | None = None  # mask of the rows that end with this tick
 
     def __post_init__(self) -> None:
         if not isinstance(self.clock, Value) and self.clock not in CLOCKS:
@@ -400,32 +379,17 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True)
 class LoweredLoop:
-    """A loop as statements, ready for printing.
+    """A loop as statements, ready for printing; ``stop``, ``clock`` and ``schedule`` are those of :class:`Loop`."""
 
-    Attributes:
-        mixed: Whether some value is float32: a vector then holds as many rows as floats fit a register.
-        loads: Inputs read when a block of rows begins.
-        constants: Values computed once in a call.
-        records: Values that follow from a record, of each track.
-        body: Statements of a tick.
-        stop: Mask of the rows that end with this tick.
-        written: Values recorded in every tick.
-        results: Rows of the state that a tick changes, and where they are found when a row ends.
-        commit: Statements that pass the new state on to the next tick.
-        clock: See :class:`Loop`.
-        schedule: See :class:`Loop`.
-        carried: Variables of a block between two ticks, where groups of rows run in lockstep, else None.
-    """
-
-    mixed: bool
-    loads: tuple[Value, ...]
-    constants: tuple[Value, ...]
-    records: tuple[Record, ...]
-    body: tuple[Statement, ...]
+    mixed: bool  # whether some value is float32: a vector then holds as many rows as floats fit a register
+    loads: tuple[Value, ...]  # inputs read when a block of rows begins
+    constants: tuple[Value, ...]  # values computed once in a call
+    records: tuple[Record, ...]  # values that follow from a record, of each track
+    body: tuple[Statement, ...]  # statements of a tick
     stop: Value | None
-    written: tuple[Value | Variable, ...]
-    results: tuple[tuple[int, Value | Variable], ...]
-    commit: tuple[Statement, ...]
+    written: tuple[Value | Variable, ...]  # values recorded in every tick
+    results: tuple[tuple[int, Value | Variable], ...]  # rows of the state that a tick changes, and where they are at the end
+    commit: tuple[Statement, ...]  # statements that pass the new state on to the next tick
     clock: str | Value
     schedule: int
-    carried: Carried | None = None
+    carried: Carried | None = None  # variables of a block between two ticks, where groups of rows run in lockstep

@@ -19,7 +19,6 @@ class Kept(Generic[Value]):
     """The most recent values, by key."""
 
     def __init__(self, most: int) -> None:
-        """Keep ``most`` of them."""
         self.most = most
         self._values: dict[Hashable, Value] = {}
 

@@ -80,7 +80,6 @@ class Table:
     """Numbers that a row looks up."""
 
     def __init__(self, tracer: Tracer, argument: Argument) -> None:
-        """Look up an ``argument``."""
         self._tracer, self.argument = tracer, argument
 
     def gather(self, dim: int, index: Batch) -> Any:
@@ -99,7 +98,6 @@ class RowTrace:
     """The arguments of a kernel of rows, for the code that it computes."""
 
     def __init__(self) -> None:
-        """Start without arguments."""
         self._tracer = Tracer()
         self.arguments: dict[str, Argument] = {}
 
@@ -127,11 +125,7 @@ class RowTrace:
 
 
 class RowKernel:
-    """The loop over rows that computes ``outputs``, and what holds of ``all`` rows.
-
-    Attributes:
-        names: Arguments of a call, in their order.
-    """
+    """A loop over rows; ``names`` are the arguments of a call, in their order."""
 
     def __init__(
         self,
@@ -152,14 +146,13 @@ class RowKernel:
         self._outputs = [(dtype, tuple(shape)) for _, dtype, *shape in outputs.values()]
         self._largest = len(largest)
         self._looked_up = [argument.looked_up for argument in trace.arguments.values()]
-        loop = _Loop(
+        self.source = _source(
             list(trace.arguments.values()),
             [(_value(value), dtype) for value, dtype, *_ in outputs.values()],
             [_value(value) for value in largest],
             [(_value(plane).attr, _value(value)) for plane, value in (stored or {}).values()],
             None if refused is None else _value(refused),
         )
-        self.source = _source(loop)
         signature = "i" + "".join("pi" if looked_up else "p" for looked_up in self._looked_up) + "p" * len(outputs) + "p"
         self._run: Callable[..., None] = build.entry(build.load(self.source, name), signature)
 
@@ -195,29 +188,27 @@ def _live(values: Sequence[Value]) -> list[Value]:
     return [live[index] for index in sorted(live)]
 
 
-class _Loop(NamedTuple):
-    arguments: list[Argument]
-    outputs: list[tuple[Value, torch.dtype]]
-    largest: list[Value]
-    stored: list[tuple[Place, Value]]
-    refused: Value | None
-
-
-def _source(loop: _Loop) -> str:
-    parameters = ["int64_t n", *(part for argument in loop.arguments for part in argument.parameters)]
-    parameters += [f"{TYPES[dtype]}* out_{k}" for k, (_, dtype) in enumerate(loop.outputs)] + ["double* largest"]
+def _source(
+    arguments: list[Argument],
+    outputs: list[tuple[Value, torch.dtype]],
+    largest: list[Value],
+    stored: list[tuple[Place, Value]],
+    refused: Value | None,
+) -> str:
+    parameters = ["int64_t n", *(part for argument in arguments for part in argument.parameters)]
+    parameters += [f"{TYPES[dtype]}* out_{k}" for k, (_, dtype) in enumerate(outputs)] + ["double* largest"]
     each = "  for (int64_t r = 0; r < n; ++r) {"
     lines = [HEAD, f'extern "C" void run({", ".join(parameters)}) {{']
-    lines += [f"  double most_{k} = -std::numeric_limits<double>::infinity();" for k in range(len(loop.largest))]
-    if loop.refused is not None:
-        infinite = "".join(f"largest[{k}] = " for k in range(len(loop.largest))) + "std::numeric_limits<double>::infinity()"
-        lines += [each, *_computed([loop.refused]), f"    if ({_name(loop.refused)}) {{ {infinite}; return; }}", "  }"]
-    values = [value for value, _ in loop.outputs] + loop.largest + [value for _, value in loop.stored]
+    lines += [f"  double most_{k} = -std::numeric_limits<double>::infinity();" for k in range(len(largest))]
+    if refused is not None:
+        infinite = "".join(f"largest[{k}] = " for k in range(len(largest))) + "std::numeric_limits<double>::infinity()"
+        lines += [each, *_computed([refused]), f"    if ({_name(refused)}) {{ {infinite}; return; }}", "  }"]
+    values = [value for value, _ in outputs] + largest + [value for _, value in stored]
     lines += [each, *_computed(values)]
-    lines += [f"    out_{k}[r] = {TYPES[dtype]}({_name(value)});" for k, (value, dtype) in enumerate(loop.outputs)]
-    lines += [f"    {place.text} = {_name(value)};" for place, value in loop.stored]
-    lines += [f"    if (double({_name(v)}) > most_{k}) most_{k} = double({_name(v)});" for k, v in enumerate(loop.largest)]
-    lines += ["  }", *(f"  largest[{k}] = most_{k};" for k in range(len(loop.largest))), "}"]
+    lines += [f"    out_{k}[r] = {TYPES[dtype]}({_name(value)});" for k, (value, dtype) in enumerate(outputs)]
+    lines += [f"    {place.text} = {_name(value)};" for place, value in stored]
+    lines += [f"    if (double({_name(v)}) > most_{k}) most_{k} = double({_name(v)});" for k, v in enumerate(largest)]
+    lines += ["  }", *(f"  largest[{k}] = most_{k};" for k in range(len(largest))), "}"]
     return "\n".join(lines) + "\n"
 
 

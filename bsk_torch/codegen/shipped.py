@@ -25,7 +25,10 @@ from bsk_torch.codegen.cache import check_owner
 VARIABLE = "BSK_TORCH_KERNELS"
 
 LEVELS = {"avx512": "x86-64-v4", "avx2": "x86-64-v3", "default": "x86-64"}
-"""What GCC and clang call the instructions, best first; every processor that torch calls capable of them has these."""
+"""Values of ``BSK_TORCH_ISA``, best first, and what GCC and clang call these instructions.
+
+Every processor that torch calls capable of them has these.
+"""
 
 NARROWER = ("-march=", "-mcpu=", "-mtune=", "-mavx", "-mamx", "-mfma")
 """How options begin that choose the instructions of one processor."""

@@ -238,6 +238,7 @@ FUNCTIONS: dict[str, Callable[..., Proxy]] = {
 OPERATORS = {"add": "add", "sub": "sub", "mul": "mul", "truediv": "div", "mod": "remainder"} | {
     name: f"bitwise_{name}" for name in ("and", "or", "xor")
 }
+UNARY = {"neg": "neg", "abs": "abs", "invert": "bitwise_not", "pow": "pow"}
 REFUSED = {
     "bool": "Python cannot branch on a value of a kernel; use torch.where",
     **dict.fromkeys(
@@ -274,7 +275,7 @@ for _name, _function in OPERATORS.items():
     setattr(Proxy, f"__r{_name}__", _operator(_function, True))
 for _name in COMPARISONS:
     setattr(Proxy, f"__{_name}__", _operator(_name, False))
-for _name, _function in {"neg": "neg", "abs": "abs", "invert": "bitwise_not", "pow": "pow"}.items():
+for _name, _function in UNARY.items():
     setattr(Proxy, f"__{_name}__", FUNCTIONS[_function])
 for _name, _reason in REFUSED.items():
     setattr(Proxy, f"__{_name}__", _refusal(_reason))

@@ -55,7 +55,7 @@ class SatProperties(Observation):
         for k, function in enumerate(self._functions):
             if function is not None:
                 own, observer = self._as_observable(k, function), self.simulator.observer
-                if observer.can_trace(own):
+                if observer.kernels and observer.has_kernel(own):
                     self._own[k] = own
         if self._own:
             self.simulator.observer.want(self._own.values())

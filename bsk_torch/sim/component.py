@@ -9,7 +9,6 @@ simply one that has not been rewritten yet.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -297,7 +296,7 @@ class Component:
     slot records, at the end of the same tick.
 
     ``tracks`` are samples that the component reads as ``bus.<track>``; what knows them supplies them to the simulation, see
-    :class:`bsk_torch.sim.tick.tracks.TrackSource`.
+    :class:`bsk_torch.sim.tick.trace.TrackSource`.
 
     ``flags`` are what flight modes may switch on: ``bus.<flag>`` is 1 in the modes that list it, else 0. Those of ``idle_flags``
     are 1 before the first command, too. ``resets`` lists fields of the state with the values to which every command sets them.
@@ -385,23 +384,12 @@ class Component:
             resets: Further resets.
         """
         own_fit = self.fit
-        changes: dict[str, Any] = {
-            "update": _one_after_the_other(self.update, update),
-            "args": _merged(self.args, args),
-            "state": _merged(self.state, state),
-            "params": _merged(self.params, params),
-            "reads": (*self.reads, *reads),
-            "initial": _united(self.initial, initial),
-            "prepare": _united(self.prepare, prepare),
-            "check": _one_after_the_other(self.check, check),
-            "flags": tuple(dict.fromkeys((*self.flags, *flags))),
-            "resets": (*self.resets, *resets),
-        }
+        additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "reads": reads}
+        additions |= {"initial": initial, "prepare": prepare, "check": check, "flags": flags, "resets": resets}
+        joined = {name: _JOINED[name](getattr(self, name), addition) for name, addition in additions.items()}
         if own_fit is not None:  # the structure that the given arguments need gets the same additions
-            additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "reads": reads}
-            additions |= {"initial": initial, "prepare": prepare, "check": check, "flags": flags, "resets": resets}
-            changes["fit"] = lambda arguments: own_fit(arguments).extended(**additions)
-        return dataclasses.replace(self, **changes)
+            joined["fit"] = lambda arguments: own_fit(arguments).extended(**additions)
+        return replace(self, **joined)
 
 
 def asked(components: Iterable[Component], values: Values) -> list[tuple[Component, Values]]:
@@ -444,12 +432,22 @@ def _merged(first: tuple[Named, ...], second: tuple[Named, ...]) -> tuple[Named,
     return (*(entry for entry in first if entry.name not in replaced_by), *second)
 
 
-def collect(classes: Iterable[type], attribute: str = "components", schedule: Schedule = SCHEDULE) -> tuple[Component, ...]:
+_JOINED: dict[str, Callable[[Any, Any], Any]] = {
+    **dict.fromkeys(("update", "check"), _one_after_the_other),
+    **dict.fromkeys(("args", "state", "params"), _merged),
+    **dict.fromkeys(("initial", "prepare"), _united),
+    **dict.fromkeys(("reads", "resets"), lambda first, second: (*first, *second)),
+    "flags": lambda first, second: tuple(dict.fromkeys((*first, *second))),
+}
+"""How an entry of a component and an addition to it become one, see :meth:`Component.extended`."""
+
+
+def collect(classes: Iterable[type], schedule: Schedule = SCHEDULE) -> tuple[Component, ...]:
     """Return the components of ``classes`` in the order of a schedule; a later class replaces the slots of an earlier one.
 
     Components with a place in the schedule of another dynamics model only come last.
     """
-    listed = (component for cls in classes for component in vars(cls).get(attribute, ()))
+    listed = (component for cls in classes for component in vars(cls).get("components", ()))
     return schedule.listed(replaced(listed))
 
 

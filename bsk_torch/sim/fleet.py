@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,11 +13,15 @@ from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Overrides
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import Values
-from bsk_torch.sim.run.coupled import Part, RunResult, Satellites, parts_of, together
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.run.coupled import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
 from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.run.recording import Recording
 
 
 class EpisodeDraw(NamedTuple):
@@ -36,7 +40,6 @@ class FleetState(StateTable):
     removed: Tensor
 
     def __init__(self, num_envs: int, size: int, device: torch.device) -> None:
-        """Make the table; no satellite has been removed."""
         super().__init__(num_envs, 1, device)
         self.declare("time_limit", 0.0, low=0.0)
         self.declare("removed", False, size)
@@ -54,21 +57,32 @@ class FleetState(StateTable):
             self.refuse(f"{path}{name}.ticks", ticks, wrong, why)
 
 
-class Fleet(Satellites):
+class Fleet:
     """The satellites of ``num_envs`` episodes, S in each, simulated type by type.
 
     Attributes:
+        simulators: One simulation for each type of satellite.
+        columns: Positions of the satellites of each type among the S of the fleet, [count] each.
+        names: Name of every satellite.
+        places: Type of each satellite of an episode by name, and its number among those of the type; on a trial, where there is
+            one of each type, satellites that are not simulated have the place of that one.
         state: Everything that belongs to the current episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites
             that are not present, or have died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that
             rewarders, communicators and users declare), and the state of each type.
         scenario_state: The table ``scenario`` of the state, [N, ...] each.
+        memory: The table ``memory`` of the state, [N, ...] each.
+        h: Length of a tick, s.
         since: Ticks since reset at the start of the current step, [N].
         env_ids: Index of each episode in draws, [N].
+        traced: Whether satellites depend on one another within a tick, so that runs leave traces.
+        varies: Whether some satellites are not present in some episodes; see :attr:`present`.
+        dependencies: Which types of satellites follow which.
+        stop_conditions: Conditions on several satellites that end a step; they need traces of the satellites.
+        flight_observers: Functions that read the traces of what has been run.
+        recordings: Recordings that have not been stopped.
         beginnings: Functions that an environment calls with the episodes [n] that have begun.
         encounters: Conjunctions and ranges of the satellites.
     """
-
-    state: FleetState
 
     def __init__(
         self,
@@ -82,16 +96,31 @@ class Fleet(Satellites):
     ) -> None:
         """Put simulations of the same environments together; ``names`` are those of all satellites.
 
-        ``draw_scenario`` draws for episodes to come, see :meth:`bsk_torch.scene.base.Scenario.draw`. ``pairs`` are satellites,
-        by their numbers among ``names``, whose distance ends steps, and whose hubs record positions; with ``compat``
-        conjunctions are booked with the errors of recordings.
+        ``draw_scenario`` draws for episodes to come, see :meth:`bsk_torch.scene.base.Scenario.draw`. The ``places`` of ``names``
+        follow by default. ``pairs`` are satellites, by their numbers among ``names``, whose distance ends steps, and whose hubs
+        record positions; with ``compat`` conjunctions are booked with the errors of recordings.
         """
-        super().__init__(simulators, names, places, varies)
+        self.simulators, self.names, self.varies = tuple(simulators), list(names), varies
+        first = self.simulators[0]
+        self.num_envs, self.size, self.device, self.h = first.num_envs, len(names), first.device, first.h
+        flown = sorted(column for simulator in self.simulators for column in simulator.columns)  # of a trial, one of each type
+        position = {column: k for k, column in enumerate(flown)}
+        self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
+        place_of = {self.names[p]: (k, i) for k, columns in enumerate(self.columns) for i, p in enumerate(columns.tolist())}
+        self.places = {name: place_of[name] for name in self.names} if places is None else dict(places)
+        order = torch.cat(self.columns)
+        self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
+        self.dependencies = Dependencies(self.simulators)
+        self.traced = any(simulator.records or simulator.followed for simulator in self.simulators)
+        self.stop_conditions: list[StopCondition] = []
+        self.flight_observers: list[FlightObserver] = []
+        self.recordings: list[Recording] = []
         self.draw_scenario = draw_scenario
         self.beginnings: list[Callable[[Tensor], object]] = []
+        self.all_envs = self.env_ids = torch.arange(self.num_envs, device=self.device)
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
-        self.env_ids = self.all_envs
-        self.state, self.scenario_state = FleetState(self.num_envs, self.size, self.device), self.simulators[0].scenario_state
+        self.memory, self.scenario_state = StateTable(self.num_envs, 1, self.device), first.scenario_state
+        self.state = FleetState(self.num_envs, self.size, self.device)
         self.state.add("memory", self.memory)
         self.state.add("scenario", self.scenario_state)
         for k, simulator in enumerate(self.simulators):
@@ -99,6 +128,52 @@ class Fleet(Satellites):
             if varies:
                 simulator.state.declare("present", True)
         self.encounters = Encounters(self, pairs, compat)
+
+    def place_of(self, name: str) -> tuple[int, int]:
+        """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
+        if name not in self.places:
+            raise KeyError(f"{name!r} is not a satellite of the environment; {nearest(str(name), self.places)}")
+        return self.places[name]
+
+    @property
+    def ticks(self) -> Tensor:
+        """Ticks since reset, [N]."""
+        return self._clock("ticks")
+
+    @property
+    def sim_time(self) -> Tensor:
+        """Time since reset, [N] s."""
+        return self._clock("sim_time")
+
+    def _clock(self, name: str) -> Tensor:
+        if self.varies:  # the clocks of satellites that are not present stay at zero
+            return self.joined([getattr(simulator.state, name) for simulator in self.simulators]).amax(1)
+        state = self.simulators[0].state
+        return self.first_of_each(getattr(state, name), state.count)
+
+    @property
+    def present(self) -> Tensor | None:
+        """Satellites that take part in their episodes from beginning to death or end, [N, S]; None if all do in all."""
+        return self.joined([simulator.state["present"] for simulator in self.simulators]) if self.varies else None
+
+    def first_of_each(self, rows: Tensor, count: int) -> Tensor:
+        """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
+        return rows if count == 1 else rows.view(self.num_envs, -1)[:, 0].contiguous()
+
+    def joined(self, parts: Sequence[Tensor]) -> Tensor:
+        """Return the rows [N * count, ...] of all types by episode and satellite, [N, S, ...]."""
+        if self.size == 1:
+            return parts[0].unsqueeze(1)
+        if len(parts) == 1:
+            whole = parts[0].reshape(self.num_envs, -1, *parts[0].shape[1:])
+        else:
+            whole = torch.cat([part.reshape(self.num_envs, -1, *part.shape[1:]) for part in parts], 1)
+        return whole if self._order is None else whole[:, self._order]
+
+    def rows_of(self, part: int, table: Tensor) -> Tensor:
+        """Return the rows [N * count, ...] of one type from a table [N, S, ...]."""
+        rows = table if len(self.simulators) == 1 and self._order is None else table[:, self.columns[part]]
+        return rows.flatten(0, 1)
 
     def key(self) -> Key:
         """Return the key of random numbers of the current episodes; that of first episodes under seed 0 on a trial."""

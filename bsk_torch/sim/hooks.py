@@ -178,7 +178,6 @@ class ChangeGuard:
     """
 
     def __init__(self) -> None:
-        """Begin without attributes."""
         self._seen: dict[str, tuple[Tensor, int]] = {}
 
     def check(self, instance: object, advice: str, exempt: Sequence[str] = ()) -> None:

@@ -79,7 +79,7 @@ class Instrument:
             object.__setattr__(self, field.name, tuple(value) if isinstance(value, list) else value)
 
     @property
-    def own(self) -> dict[str, Any]:
+    def own(self) -> dict[str, object]:
         """The arguments in which it differs, by name."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "name"}
         return {name: value for name, value in values.items() if value is not None}
@@ -156,7 +156,7 @@ def number_of(listed: Sequence[Instrument], instrument: str | int | None, title:
     return names.index(instrument)
 
 
-def each_value(args: Values, name: str) -> Iterator[Any]:
+def each_value(args: Values, name: str) -> Iterator[Tensor]:
     """Yield the values of an argument of all instruments, or of the single one."""
     return (args[name if part is None else part.argument(name)] for part in _listed(args) or (None,))
 

@@ -64,21 +64,14 @@ class Clock(NamedTuple):
 class SatelliteState(StateTable):
     """State of ``count`` satellites in each of ``num_envs`` episodes: satellite k of episode e is row ``e * count + k``.
 
-    Attributes:
-        planes: Fields of the components, [C, rows] float64; see :meth:`read`.
-        parameters: Parameters of ticks that differ between rows, [C, rows] float64.
-        ticks: Ticks since reset, [rows].
-        mode: Index into the mode table, [rows].
-        h: Length of a tick, s.
-        arguments: Drawn arguments of satellites and world, a table of tensors [rows, ...].
-        constants: Arguments that are not numbers, the same for all rows.
-        memory: Declared tensors of satellites' actions, rewarders and users, [rows, ...].
+    The table ``arguments`` has the drawn arguments of satellites and world, ``constants`` those that are not numbers, the same
+    for all rows, and ``memory`` tensors that actions, rewarders and users declare, [rows, ...]. A tick lasts ``h`` s.
     """
 
-    planes: Tensor
-    parameters: Tensor
-    ticks: Tensor
-    mode: Tensor
+    planes: Tensor  # fields of the components, [C, rows] float64; see read
+    parameters: Tensor  # parameters of ticks that differ between rows, [C, rows] float64
+    ticks: Tensor  # ticks since reset, [rows]
+    mode: Tensor  # index into the mode table, [rows]
 
     def __init__(
         self,

@@ -15,8 +15,8 @@ from bsk_torch.astro.earth_rotation import EARTHS
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
-from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.visibility.planned import take_rows
 from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
@@ -32,14 +32,13 @@ from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.fsw.target import VERTICAL
 from bsk_torch.sim.orbit.arcs import Arcs
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.sim.places.base import PlaceKinds, place_kinds
 from bsk_torch.sim.readout.observables import Observer
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick.runners import RunInputs, TickLoop, ticks_at_once
-from bsk_torch.sim.tick.trace import Trace
-from bsk_torch.sim.tick.tracks import TrackSource, no_samples
+from bsk_torch.sim.tick.trace import Trace, TrackSource, no_samples
 
 logger = logging.getLogger(__name__)
 
@@ -61,18 +60,9 @@ class Checkpoint(NamedTuple):
 class Simulator:
     """The simulation of the satellites of one type in ``num_envs`` environments, ``count`` of them in each.
 
-    Attributes:
-        state: Everything that belongs to the current episodes; satellite k of environment e is row ``e * count + k``.
-        scenario_state: The scenario's draws, [num_envs, ...] each, shared by the simulations of an environment.
-        lookahead: Arcs, eclipses and windows, which are part of the state.
-        observer: Properties of the present, computed together.
-        world: Sun, Earth and stations at the current time.
-        h: Length of a tick, s.
-        records: Whether runs leave traces.
-        has_events: Whether there are events that end an action.
-        ends_apart: Whether these end actions, but not runs.
-        has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
-        sources: What supplies the ``tracks`` that components read, by name; none in the tick at time zero.
+    ``state`` is all that belongs to the current episodes; satellite k of environment e is row ``e * count + k``. Runs leave
+    traces where it ``records``. Events that end an action, where it ``has_events``, end runs, too, unless it ``ends_apart``.
+    ``sources`` supply the ``tracks`` that components read, by name; none in the tick at time zero.
     """
 
     def __init__(
@@ -133,7 +123,8 @@ class Simulator:
             compat=satellite_type.compat,
             blind=self.orbit == "free",
             sampled=satellite_type.sampled,
-            manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
+            maneuvers=self.has_tank and (options.replan or self.orbit == "arc"),
+            replans=self.has_tank and options.replan,
         )
         self.state.add("lookahead", self.lookahead)
         self.sources: dict[str, TrackSource] = {}
@@ -317,13 +308,14 @@ class Simulator:
                 f"rows must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
             )
         no_gradient("dv_N", dv_N)
-        done = burn(dv_N.double(), state.read("dv_available"))
-        infinite, clipped = torch.stack([(rows & ~torch.isfinite(dv_N).all(-1)).any(), (rows & done.clipped).any()]).tolist()
-        if infinite:
-            row = int(torch.nonzero(rows & ~torch.isfinite(dv_N).all(-1))[0])
+        flown_N, remaining, exceeds = burn(dv_N.double(), state.read("dv_available"))
+        infinite, clipped = rows & ~torch.isfinite(dv_N).all(-1), rows & exceeds
+        any_infinite, any_clipped = torch.stack([infinite.any(), clipped.any()]).tolist()
+        if any_infinite:
+            row = int(torch.nonzero(infinite)[0])
             raise ValueError(f"thrust(rows, dv_N): dv_N[{row}] is {dv_N[row].tolist()} m/s; it must be finite")
-        if clipped and self.type.arguments.is_new("tank"):
-            row = int(torch.nonzero(rows & done.clipped)[0])
+        if any_clipped and self.type.arguments.is_new("tank"):
+            row = int(torch.nonzero(clipped)[0])
             logger.warning(
                 "dv_N[%d] requests %g m/s but %g m/s remain; clipped, and the satellite is marked dead; this is logged once",
                 row,
@@ -331,8 +323,8 @@ class Simulator:
                 float(state.read("dv_available")[row]),
             )
         before = state.read("delta_v_N")
-        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.type.compat else before), before)
-        state.write("dv_available", rows, done.remaining)
+        after = torch.where(rows.unsqueeze(-1), flown_N + (0.0 if self.type.compat else before), before)
+        state.write("dv_available", rows, remaining)
         state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
         state.write("delta_v_N", rows, after)
         if self.lookahead.follows:
@@ -581,7 +573,7 @@ class Simulator:
             counts = (goal - now).clamp(min=0)
             inputs["ticks"] = now
             if self.records:
-                written = fields.new_empty(len(now), int(counts.max()), self.tick.recorded_width)
+                written = fields.new_empty(len(now), int(counts.max()), len(self.tick.recorded_planes))
             self.runners.run(fields, counts, written=written, **inputs)
             now = now + counts
             values[:, p] = fields[planes].mT

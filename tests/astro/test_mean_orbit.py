@@ -9,7 +9,7 @@ from bsk_torch.astro.mean_orbit import mean_elements, mean_position
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 
 ORBITS = 60
 

@@ -4,7 +4,7 @@ import torch
 
 from bsk_torch.astro.linear_motion import about_circle, about_orbit
 from bsk_torch.astro.relative import cd2hill, fibonacci_sphere, hill2cd
-from bsk_torch.astro.transfers import closest, solve, transfers
+from bsk_torch.astro.transfers import closest, transfers
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.astro.test_linear_motion import DURATIONS, chiefs, deputies, fallen
 
@@ -95,7 +95,7 @@ def test_a_transfer_that_does_not_exist_costs_an_infinity_and_has_no_manoeuvre()
 
 def test_linear_equations_and_closest_points_of_lines():
     matrix, vector = torch.randn(7, 3, 3, dtype=torch.float64), torch.randn(7, 3, dtype=torch.float64)
-    found = solve(Mat3.of(matrix), Vec3.of(vector)).stack()
+    found = Mat3.of(matrix).solve(Vec3.of(vector)).stack()
     assert torch.allclose((matrix @ found.unsqueeze(-1)).squeeze(-1), vector, rtol=1e-9, atol=1e-9)
     a = Vec3.of(torch.tensor([[-1.0, 2, 0], [1, 2, 0], [3, 4, 0]], dtype=torch.float64))
     b = Vec3.of(torch.tensor([[1.0, 2, 0], [4, 2, 0], [3, 4, 0]], dtype=torch.float64))

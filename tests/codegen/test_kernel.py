@@ -317,7 +317,7 @@ def test_rejects_what_cannot_be_built_loaded_or_kept(folder):
     in_device.parent.symlink_to("/dev/null")
     unloadable = 'extern "C" int missing_function(); extern "C" int lanes_width() { return missing_function(); }'
     check_refusals(
-        refusal(lambda: load(BSK_TORCH_ISA="mmx"), ValueError, "BSK_TORCH_ISA", "mmx", *build.ISAS),
+        refusal(lambda: load(BSK_TORCH_ISA="mmx"), ValueError, "BSK_TORCH_ISA", "mmx", *build.shipped.LEVELS),
         refusal(lambda: load(unloadable), RuntimeError, "test kernel", "missing_function", "BSK_TORCH_CACHE"),
         refusal(lambda: load(BSK_TORCH_CACHE=in_file), RuntimeError, "test kernel", in_file, "BSK_TORCH_CACHE"),
         refusal(lambda: load(BSK_TORCH_CACHE=in_device), RuntimeError, "test kernel", in_device, "BSK_TORCH_CACHE"),

@@ -16,7 +16,7 @@ from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.passes.literal_search import Interpolator
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, take_rows
 from bsk_torch.sim.arguments.values import convert
 from bsk_torch.sim.component import Bus
@@ -25,7 +25,7 @@ from bsk_torch.sim.environment.world import EPHEMERIS
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import NODE_SPACING, PLAN_STEP
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from bsk_torch.astro.element_sets import ElementSet
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.geodetic import axis_shift
 from bsk_torch.sim.access.passes.passes import GroundTrack, PassSearch
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.windows.search import BEFORE_SEARCH, BEHIND_SEARCH
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -36,16 +36,6 @@ CHUNK, DEVICE_CHUNK = 256, 16384
 SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24  # pairs of satellite and place whose windows are searched at once, likewise
 
 
-class Manoeuvres(NamedTuple):
-    """What follows maneuvers: the arcs that ticks fly on, and look-ahead."""
-
-    flight: bool
-    lookahead: bool
-
-
-NONE = Manoeuvres(False, False)  # nothing: of satellites that do not maneuver
-
-
 class LookAhead(StateTable):
     """Arcs, eclipses and windows of the satellites of one type."""
 
@@ -65,7 +55,8 @@ class LookAhead(StateTable):
         horizon: float,
         segment: float,
         compat: bool,
-        manoeuvres: Manoeuvres = NONE,
+        maneuvers: bool = False,
+        replans: bool = False,
         blind: bool = False,
         sampled: Sequence[ElementSet] = (),
     ) -> None:
@@ -73,17 +64,18 @@ class LookAhead(StateTable):
 
         Windows are generated for ``horizon`` s at reset and extended by ``segment`` s. With ``compat``, eclipses are those of
         samples, and windows those of :class:`~bsk_torch.sim.access.windows.search.AccessWindows`. ``blind`` satellites may be
-        on no orbit, so that queries raise a RuntimeError. Arcs of ``sampled`` satellites are those of their element sets.
+        on no orbit, so that queries raise a RuntimeError. Arcs of ``sampled`` satellites are those of their element sets. Arcs
+        that ticks fly on follow ``maneuvers``, those of look-ahead only where it ``replans``.
         """
         super().__init__(num_envs, count, solver.device)
         self.blind, self.compat = blind, compat
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
         spans = max(segments_for(horizon + MARGIN), segments_for(segment + BEFORE_SEARCH + BEHIND_SEARCH) + 1)
         size = num_envs, spans, solver, kept, count
-        self.arcs = RestartableArcs(*size) if manoeuvres.lookahead else Arcs(*size)
+        self.arcs = RestartableArcs(*size) if replans else Arcs(*size)
         if sampled:
             self.arcs = SampledArcs(*size, elements=sampled)
-        separate = manoeuvres.flight and not manoeuvres.lookahead
+        separate = maneuvers and not replans
         self.flight = RestartableArcs(*size) if separate else self.arcs
         self.eclipses = EclipseTable(self.arcs, visibility)
         self.access = AccessWindows(self.arcs, visibility, places, segment, compat) if places else None
@@ -221,13 +213,10 @@ class LookAhead(StateTable):
 
     def grow(self) -> None:
         """Make every arc an hour longer; those that may restart get room only."""
-        if self.flight is not self.arcs:
-            self.flight.grow()
-        if self.arcs.restarts:
-            self.arcs.grow()
-            return
-        self.arcs.grow()
-        self.eclipses.lengthen(self.all_rows)
+        for arcs in self._flown:
+            arcs.grow()
+        if not self.arcs.restarts:
+            self.eclipses.lengthen(self.all_rows)
 
     # -- maneuvers ---------------------------------------------------------------------------------------------------
 
@@ -280,12 +269,11 @@ class LookAhead(StateTable):
 
     def insert(self, kind: str, rows: Tensor, place: Tensor, now: Tensor) -> None:
         """Add the windows of places that appear at the current time ``now`` [N] s; see :meth:`AccessWindows.insert`."""
-        assert self.access is not None
-        reach = self.access.ready[rows] + (BEHIND_SEARCH + REACH_AROUND)
+        reach = self._searched.ready[rows] + (BEHIND_SEARCH + REACH_AROUND)
         self.reach(torch.zeros_like(now).index_copy(0, rows, reach), now)
         for part in torch.split(torch.arange(len(rows), device=self.device), CHUNK):
             some = rows[part]
-            self.access.insert(kind, some, place[part], now[some])
+            self._searched.insert(kind, some, place[part], now[some])
 
     # -- queries ------------------------------------------------------------------------------------------------------
 
@@ -345,9 +333,8 @@ class LookAhead(StateTable):
         Raises:
             RuntimeError: If a window is needed, there is none within the look-ahead, and there must be one.
         """
-        assert self.access is not None
+        access = self._searched
         self._check_sight()
-        access = self.access
         if self.arcs.restarts:
             wanted = torch.full(time.shape, width, device=self.device) if count is None else count
             self._search_certain(kind, time, torch.where(wanted > 0, wanted.clamp(min=width), 0), allowed)
@@ -405,9 +392,8 @@ class LookAhead(StateTable):
 
         ``now`` [N] s is the present. Rows that see so far already are left alone. Return whether any sees more than before.
         """
-        assert self.access is not None
+        access = self._searched
         self._check_sight()
-        access = self.access
         self.search_visible(now)
         steps = torch.ceil((until - access.until) / access.segment).clamp(min=0.0)
         if not bool((steps > 0.0).any()):

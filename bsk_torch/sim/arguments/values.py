@@ -375,7 +375,7 @@ class Arguments:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {name: self._drawn_or_kept(self.table[name], key, rows, answers, et) for name in names}
 
-    def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
+    def override(self, name: str, values: Tensor | None, columns: Tensor, given: Tensor) -> Tensor:
         """Return drawn values of an argument, or None, with those of some satellites replaced, [n * S, ...].
 
         ``given`` [n, c, ...] are the values of the satellites ``columns`` [c] of the type. KeyError for an unknown name,
@@ -408,13 +408,12 @@ class Arguments:
         """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
-        if arg.name in self.random:
-            parts = self._each(arg, key, answers, et)
-        elif arg.name in self._constants:
-            parts = self._constants[arg.name]
-        else:
-            parts = self._constants[arg.name] = self._each(arg, key, answers, et)
-        return None if parts is None else parts.expand(len(key), *parts.shape[1:]).flatten(0, 1)
+        table = self._constants.get(arg.name)
+        if table is None:
+            table = self._each(arg, key, answers, et)
+            if arg.name not in self.random:
+                self._constants[arg.name] = table
+        return None if table is None else table.expand(len(key), *table.shape[1:]).flatten(0, 1)
 
     def _each(self, arg: Arg, key: Key, answers: Sequence[Answers], et: Tensor | None) -> Tensor | None:
         """Return the values of an argument, [n or 1, S, ...]; None if no satellite has one."""
@@ -432,10 +431,8 @@ class Arguments:
 
     def _of_satellite(self, k: int, arg: Arg, key: Key, answers: Sequence[Answers], et: Tensor | None) -> Any:
         """Return the values of an argument of one satellite, [n or 1, ...]; None if it has none."""
-        satellite_key, asked = (
-            key.of_satellites(torch.tensor([self.columns[k]])),
-            [answer.get((self.owners[k], arg.name)) for answer in answers],
-        )
+        satellite_key = key.of_satellites(torch.tensor([self.columns[k]]))
+        asked = [answer.get((self.owners[k], arg.name)) for answer in answers]
         value, of_envs = self._given[k][arg.name], self._of_envs[k].get(arg.name)
         if not of_envs:
             return self._draw(arg, value, satellite_key, asked, et)

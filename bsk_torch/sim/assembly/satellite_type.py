@@ -12,7 +12,6 @@ import functools
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -260,15 +259,14 @@ class Looked(dict[str, object]):
     """Values by name that remember which of them were looked at."""
 
     def __init__(self, arguments: UserArguments) -> None:
-        """Keep the values."""
         super().__init__(arguments)
         self.names_read: set[str] = set()
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> object:
         self.names_read.add(name)
         return super().__getitem__(name)
 
-    def get(self, name: str, default: object = None) -> Any:
+    def get(self, name: str, default: object = None) -> object:
         """Return a value, or the default."""
         if name in self:
             self.names_read.add(name)

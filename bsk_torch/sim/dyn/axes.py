@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import TypeVar
 
 from torch import Tensor
@@ -28,6 +29,12 @@ def check_axis(name: str) -> Callable[[Values], None]:
             raise ValueError(f"{name}=[0, 0, 0] has length zero; give three numbers in B, not all zero, such as [0, 0, 1]")
 
     return check
+
+
+def of_each(arg: Arg, count: int, default: object) -> Arg:
+    """Return an argument as that of so many parts: a value for each, of which one number stands for those of all."""
+    one = arg.shape[1:] if arg.shape else ()
+    return replace(arg, kind="scalar", default=default, shape=(count, *one), spread=not one)
 
 
 def described(

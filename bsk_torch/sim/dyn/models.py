@@ -419,16 +419,8 @@ class LOSCommDynModel(DynamicsModel):
 
     components: ClassVar[tuple[Component, ...]] = (
         Component(
-            slot="los_comms",
-            args=(
-                Arg(
-                    "losMaximumRange",
-                    -1.0,
-                    "m",
-                    "longest range of sight to other satellites; no limit where not positive",
-                    endless=True,
-                ),
-            ),
+            "los_comms",
+            args=(Arg("losMaximumRange", -1.0, "m", "longest range of sight; no limit where not positive", endless=True),),
         ),
     )
 

@@ -43,14 +43,7 @@ CONJUNCTION = Component(
             high=1e9,
             missing=SHORTEST,
         ),
-        Arg(
-            "conjunction_exact",
-            False,
-            "-",
-            "whether the distance to earlier satellites is looked at between ticks, too",
-            "choice",
-            choices=(False, True),
-        ),
+        Arg("conjunction_exact", False, "-", "whether distances between ticks count, too", "choice", choices=(False, True)),
     ),
     check=_check_looks,
 )

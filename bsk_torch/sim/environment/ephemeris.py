@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -97,7 +96,7 @@ def move_sun_and_earth(bus: Bus) -> None:
     bus.cos_earth, bus.sin_earth = turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau)
 
 
-def turned(angle: Any, tau: Any) -> tuple[Any, Any]:
+def turned(angle: Tensor, tau: Tensor) -> tuple[Tensor, Tensor]:
     """Return cosine and sine of the prime meridian ``W = angle + w tau``, tau seconds after it was at ``angle``, rad.
 
     Those of ``w tau`` are power series to the order 13, exact to 1e-15 for two hours; addition theorems give those of the sum.

@@ -57,15 +57,8 @@ class Sometimes(Distribution):
         return torch.where(strikes, torch.as_tensor(times, dtype=torch.float64), torch.inf)
 
 
-class Changing(Distribution):
-    """Stands for the value of an argument that a fault may change, where components choose their structure."""
-
-    def draw(self, key: Key) -> Tensor:
-        """Raise TypeError: nothing is drawn from it."""
-        raise TypeError("an argument that a fault changes is drawn as the user gave it")
-
-
-CHANGING = Changing()
+CHANGING = Distribution()
+"""Stands for the value of an argument that a fault may change, where components choose their structure; none is drawn from it."""
 
 
 def may_change(arguments: Mapping[str, object], *names: str) -> bool:

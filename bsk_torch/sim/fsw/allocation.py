@@ -15,7 +15,8 @@ from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, UserArguments, Values
-from bsk_torch.sim.dyn.effectors.wheel_set import along, described_wheels, unit_axes
+from bsk_torch.sim.dyn.axes import unit_rows
+from bsk_torch.sim.dyn.effectors.wheel_set import along, described_wheels
 from bsk_torch.sim.fsw.stability import NULL_SHARE
 from bsk_torch.vec3 import Vec3, select
 
@@ -53,7 +54,7 @@ def wheel_map(args: Values) -> Tensor:
     The columns of [G] are the axes of the available wheels. Those in a plane, with ``underactuated=True`` or after a fault, give
     the pseudo-inverse, which takes what lies in the plane; Basilisk then commands zero, or rounding errors.
     """
-    axes = unit_axes(args)
+    axes = unit_rows(args["rwAxes_B"])
     if args.get("rwAvailable") is not None:  # others get rows of zeros
         axes = axes * args["rwAvailable"].unsqueeze(-1)
     return torch.linalg.pinv(axes.mT, rtol=RANK_TOLERANCE)
@@ -83,7 +84,7 @@ def distribute(bus: Bus, torque_B: Vec3, null_motion: bool) -> Commands:
 
 def check_axes(args: Values) -> None:
     """Check that the axes of the wheels span space, unless they need not."""
-    values = torch.linalg.svdvals(unit_axes(args))
+    values = torch.linalg.svdvals(unit_rows(args["rwAxes_B"]))
     rank = (values > RANK_TOLERANCE * values[:, :1]).sum(-1)
     plain = (rank < 3) & (args["underactuated"] < 0.5)
     if bool(plain.any()):
@@ -133,7 +134,7 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
     def prepare(args: Values) -> dict[str, Tensor]:
         parameters = {"wheel_map": wheel_map(args).flatten(-2)}
         if null_motion:
-            parameters |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
+            parameters |= {"null_axes_B": unit_rows(args["rwAxes_B"]).flatten(-2), "null_gain": args["nullSpaceGain"]}
             parameters |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
         if some:
             parameters |= {"wheel_available": args["rwAvailable"]}

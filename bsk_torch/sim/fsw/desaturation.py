@@ -10,13 +10,12 @@ import functools
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
-from bsk_torch.sim.dyn.effectors.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
+from bsk_torch.sim.dyn.effectors.thrusters import ARMS, THRUST, arms_about_center, described_thrusters
 from bsk_torch.sim.dyn.effectors.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
 
@@ -24,12 +23,12 @@ Pairs = tuple[Tensor, ...]
 
 
 @functools.cache
-def impulse_map(pairs: ThrusterPairs) -> list[list[float]]:
-    """Return the impulse of each thruster of the pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
+def pair_map() -> list[list[float]]:
+    """Return the impulse of each thruster of the default pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
 
     D has the torque per newton, m, of each thruster; those of a pair are equal, so that ``D D^T`` is twice that of the pairs.
     """
-    D = torch.tensor(pairs.arms, dtype=torch.float64).mT
+    D = torch.tensor(ARMS, dtype=torch.float64).mT
     mapping: list[list[float]] = (D.mT @ torch.linalg.inv(2.0 * D @ D.mT)).tolist()
     return mapping
 
@@ -50,11 +49,11 @@ def momentum_to_dump(h: Vec3, keep: Tensor) -> Vec3:
     return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
 
 
-def impulses(dH: Vec3, rows: Iterable[Sequence[Tensor]]) -> Pairs:
+def impulses(dH: Vec3, rows: Iterable[Sequence[Tensor | float]]) -> Pairs:
     """Return the impulse, N s, of each thruster for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
-    have no torque, if the thrusters are symmetric. The ``rows`` are those of :func:`impulse_map`.
+    have no torque, if the thrusters are symmetric. The ``rows`` are those of :func:`pair_map`.
     """
     wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in rows]
     least = torch.clamp(_least(wanted), max=0.0)
@@ -68,10 +67,10 @@ def _least(values: Sequence[Tensor]) -> Tensor:
     return torch.minimum(_least(values[:half]), _least(values[half:]))
 
 
-Rows = Callable[[Bus], Iterable[Sequence[Any]]]  # returns the rows of the map of impulses, three numbers or planes each
+Rows = Callable[[Bus], Iterable[Sequence[Tensor | float]]]  # returns the rows of the map of impulses, three each
 
 
-def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> None:
+def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Tensor | float]]) -> None:
     """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent; Basilisk's thrMomentumDumping.
 
     Only pulses of a whole tick reach the integrator, so only those are commanded. With on-times left T, ticks to wait c, and
@@ -94,7 +93,9 @@ def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]])
     )
 
 
-def _dump(bus: Bus, rows: Iterable[Sequence[Any]], thrusts: Sequence[Any]) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
+def _dump(
+    bus: Bus, rows: Iterable[Sequence[Tensor | float]], thrusts: Sequence[Tensor | float]
+) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
     """Return commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
     h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
     dH = select(first, momentum_to_dump(stored_momentum(bus), bus.momentum_to_keep), bus.dump_momentum_B)
@@ -128,7 +129,7 @@ DESATURATION_ARGS = (
 )
 
 
-def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> Component:
+def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Tensor | float]]) -> Component:
     """Return the component that dumps momentum by ``count`` thrusters, or pairs of them, with these thrusts, N.
 
     The ``rows`` are those of the map, see :func:`impulses`.
@@ -158,13 +159,6 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
 
 def _prepare(args: Values) -> dict[str, Tensor]:
     return {"momentum_to_keep": args["hs_min"], "dump_wait": args["maxCounterValue"], "shortest_pulse": args["thrMinFireTime"]}
-
-
-@functools.cache
-def pair_desaturation(pairs: ThrusterPairs) -> Component:
-    """Return the component that dumps momentum by pairs of thrusters."""
-    count = len(pairs.positions)
-    return desaturation(count, lambda bus: impulse_map(pairs), lambda bus: [pairs.thrust] * count)
 
 
 def _prepare_set(args: Values) -> dict[str, Tensor]:
@@ -220,5 +214,5 @@ def fitted_desaturation(arguments: UserArguments) -> Component:
     return DESATURATION if listed is None else set_desaturation(len(listed))
 
 
-DESATURATION = pair_desaturation(EIGHT_THRUSTERS)
+DESATURATION = desaturation(len(ARMS), lambda bus: pair_map(), lambda bus: [THRUST] * len(ARMS))
 """Desaturation by the eight default thrusters, unless the arguments describe others."""

@@ -101,22 +101,17 @@ def guided_angle(now: Now) -> Tensor:
     return 4.0 * torch.atan(now.location_sigma_BR.norm())
 
 
-class HillMotion(NamedTuple):
-    """The Hill frame [HN], its rate about the orbit normal, rad/s, and the acceleration, rad/s^2."""
+def hill_motion(bus: Bus) -> tuple[Mat3, Tensor, Tensor]:
+    """Return the Hill frame [HN], and its rate, rad/s, and acceleration, rad/s^2, about the orbit normal.
 
-    HN: Mat3
-    rate: Tensor
-    acceleration: Tensor
-
-
-def hill_motion(bus: Bus) -> HillMotion:
-    """Return the Hill frame H and its motion, ``f' = |r x v| / r^2`` and ``f'' = -2 (v . r) f' / r^2``."""
+    ``f' = |r x v| / r^2`` and ``f'' = -2 (v . r) f' / r^2``.
+    """
     r, v, _, _ = navigated(bus)
     HN = hill_frame(r, v)
     radius2, momentum = r.dot(r), r.cross(v).norm()
     rate = momentum / radius2
     acceleration = -2.0 * v.dot(r) / radius2 * rate
-    return HillMotion(HN.to(bus.dtype), rate.to(bus.dtype), acceleration.to(bus.dtype))
+    return HN.to(bus.dtype), rate.to(bus.dtype), acceleration.to(bus.dtype)
 
 
 def point_along_hill(bus: Bus) -> None:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.geodetic import Vertical
 from bsk_torch.sim.component import Bus, Component, Field, Values
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fsw.instrument import IMAGE_CONTROLLER, IMAGE_RESET, permission
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
-from bsk_torch.sim.fsw.target import aim_at_place, first_place, lit_target, target_form
+from bsk_torch.sim.fsw.target import Update, first_place, targets_that
 
 LOOK_MODE = "look"
 """Flight mode in which requests are looked at."""
@@ -32,10 +29,8 @@ LIMITS = (
 """Limits of the request that the action has chosen."""
 
 
-@functools.cache
-def aim_at_request(minimum: bool, maximum: bool, vertical: Vertical) -> Callable[[Bus], None]:
-    """Return the update of requests with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
-    aim_at_current_place = aim_at_place(minimum, maximum, vertical)
+def aim_at_request(aim_at_current_place: Update) -> Update:
+    """Return the update of requests, from that of other places in their light."""
 
     def aim(bus: Bus) -> None:
         """Write the place L in N, m, and its access, both of one tick ago; access is that of other places within the limits.
@@ -61,22 +56,7 @@ def _first_request(args: Values) -> dict[str, Tensor]:
     return first_place(args) | dict(zip((field.name for field in LIMITS), (never, none, none, none), strict=True))
 
 
-def fitted_request(given: Mapping[str, object]) -> Component:
-    """Return the component of requests in the light that the arguments as given ask for."""
-    return request_target(*target_form(given))
-
-
-@functools.cache
-def request_target(minimum: bool, maximum: bool, vertical: Vertical) -> Component:
-    """Return the component of requests with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
-    place = lit_target(minimum, maximum, vertical)
-    return dataclasses.replace(
-        place,
-        update=aim_at_request(minimum, maximum, vertical),
-        state=(*place.state, *LIMITS),
-        initial=_first_request,
-        fit=fitted_request,
-    )
+REQUEST_TARGET = targets_that(aim_at_request, LIMITS, _first_request)
 
 
 def command_look(bus: Bus) -> None:
@@ -114,7 +94,7 @@ class LookFSWModel(ImagingFSWModel):
     wants; a single tick outside starts it again. For :class:`bsk_torch.act.ImageRequest`.
     """
 
-    components: ClassVar[tuple[Component, ...]] = (request_target(False, False, "radius"), LOOK_CONTROLLER)
+    components: ClassVar[tuple[Component, ...]] = (REQUEST_TARGET, LOOK_CONTROLLER)
     modes: ClassVar[dict[str, Mode | None]] = {
         "image": None,
         LOOK_MODE: Mode(("control_on", "location_on", "controller_on", "instrument_power"), IMAGE_RESET | {"look_ticks": 0.0}),

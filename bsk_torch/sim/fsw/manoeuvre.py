@@ -6,8 +6,6 @@ Basilisk, so the change waits in ``delta_v_N`` until the next tick begins, from 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -27,16 +25,7 @@ def change_velocity(bus: Bus) -> None:
 TANK = Component(
     slot="manoeuvre",
     update=change_velocity,
-    args=(
-        Arg(
-            "dv_available_init",
-            100.0,
-            "m/s",
-            "sum of the changes of velocity that a full tank is good for",
-            low=0.0,
-            high=MOST_FUEL,
-        ),
-    ),
+    args=(Arg("dv_available_init", 100.0, "m/s", "sum of the changes of velocity of a full tank", low=0.0, high=MOST_FUEL),),
     state=(
         Field("dv_available", 1, "m/s", "remaining velocity change", exact=True, limit=MOST_FUEL),
         Field("thrust_count", 1, "-", "maneuvers since reset", exact=True),
@@ -47,21 +36,13 @@ TANK = Component(
 """The tank of :class:`~bsk_torch.sim.fsw.models.MagicOrbitalManeuverFSWModel`."""
 
 
-class Burn(NamedTuple):
-    """Maneuvers of N satellites as the tank allows them."""
-
-    dv_N: Tensor  # change of velocity in N, [N, 3] m/s
-    remaining: Tensor  # what is left in the tank, [N] m/s
-    clipped: Tensor  # whether the request exceeded the tank, [N]
-
-
-def burn(dv_N: Tensor, available: Tensor) -> Burn:
+def burn(dv_N: Tensor, available: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the maneuvers ``dv_N`` [N, 3] m/s with tanks that are good for ``available`` [N] m/s.
 
-    ``dv <- dv min(1, available / |dv|)`` and ``left = available - |dv|``.
+    ``dv <- dv min(1, available / |dv|)`` and ``left = available - |dv|``; whether a request exceeds its tank is the third result.
     """
     asked = dv_N.norm(dim=-1)
     clipped = asked > available
     scaled = dv_N / torch.where(clipped, asked, 1.0).unsqueeze(-1) * available.unsqueeze(-1)
     dv_N = torch.where(clipped.unsqueeze(-1), scaled, dv_N)
-    return Burn(dv_N, (available - dv_N.norm(dim=-1)).clamp(min=0.0), clipped)
+    return dv_N, (available - dv_N.norm(dim=-1)).clamp(min=0.0), clipped

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-from collections.abc import Callable
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.geodetic import Vertical
-from bsk_torch.sim.component import Bus, Component, Field, UserArguments, Values, vec
+from bsk_torch.sim.component import Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.models import DynamicsModel, StripImagingDynModel
 from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
-from bsk_torch.sim.fsw.target import aim_at_place, first_place, lit_target, target_form
+from bsk_torch.sim.fsw.target import Update, first_place, targets_that
 from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.vec3 import select
 
@@ -25,10 +21,8 @@ STRIP_MODE = "image_strip"  # flight mode in which strips are recorded
 ROUNDING = 1e-12  # angle by which rounding may put a place before the start of its strip, rad; 6 micrometers on the ground
 
 
-@functools.cache
-def aim_at_strip(minimum: bool, maximum: bool, vertical: Vertical) -> Callable[[Bus], None]:
-    """Return the update of strips with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
-    aim_at_current_place = aim_at_place(minimum, maximum, vertical)
+def aim_at_strip(aim_at_current_place: Update) -> Update:
+    """Return the update of strips, from that of other places in their light."""
 
     def aim(bus: Bus) -> None:
         """Move the place L along its strip, and write it in N, m, and its access, both of one tick ago.
@@ -59,29 +53,15 @@ def _first_strip(args: Values) -> dict[str, Tensor]:
     return first | dict(strip_middle=middle, strip_along=along, strip_angle=none, strip_half=none, strip_rate=none)
 
 
-def fitted_strip(arguments: UserArguments) -> Component:
-    """Return the component of strips in the light that the arguments as given ask for."""
-    return strip_target(*target_form(arguments))
+STRIP = (
+    vec("strip_middle", "m", "middle of the strip, Earth-fixed", exact=True),
+    vec("strip_along", "m", "direction of the strip in its middle, as long as the middle, Earth-fixed", exact=True),
+    Field("strip_angle", 1, "rad", "angle from the middle to the current place of the strip", exact=True),
+    Field("strip_half", 1, "rad", "angle from the start of the strip to its middle", exact=True),
+    Field("strip_rate", 1, "rad/s", "angle by which the place moves in a second", exact=True),
+)
 
-
-@functools.cache
-def strip_target(minimum: bool, maximum: bool, vertical: Vertical) -> Component:
-    """Return the component of strips with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
-    place = lit_target(minimum, maximum, vertical)
-    fields = (
-        vec("strip_middle", "m", "middle of the strip, Earth-fixed", exact=True),
-        vec("strip_along", "m", "direction of the strip in its middle, as long as the middle, Earth-fixed", exact=True),
-        Field("strip_angle", 1, "rad", "angle from the middle to the current place of the strip", exact=True),
-        Field("strip_half", 1, "rad", "angle from the start of the strip to its middle", exact=True),
-        Field("strip_rate", 1, "rad/s", "angle by which the place moves in a second", exact=True),
-    )
-    return dataclasses.replace(
-        place,
-        update=aim_at_strip(minimum, maximum, vertical),
-        state=(*place.state, *fields),
-        initial=_first_strip,
-        fit=fitted_strip,
-    )
+STRIP_TARGET = targets_that(aim_at_strip, STRIP, _first_strip)
 
 
 class StripImagingFSWModel(ImagingFSWModel):
@@ -92,7 +72,7 @@ class StripImagingFSWModel(ImagingFSWModel):
     """
 
     requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (StripImagingDynModel,)
-    components: ClassVar[tuple[Component, ...]] = (strip_target(False, False, "radius"), SCANNING_CONTROLLER)
+    components: ClassVar[tuple[Component, ...]] = (STRIP_TARGET, SCANNING_CONTROLLER)
     modes: ClassVar[dict[str, Mode | None]] = {
         "image": None,
         STRIP_MODE: Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),

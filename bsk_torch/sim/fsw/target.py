@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -16,10 +16,12 @@ from torch import Tensor
 from bsk_torch.astro.frames import rotate_z, sin_elevation
 from bsk_torch.astro.geodetic import Vertical, axis_shift
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Computation, Field, UserArguments, Values, vec
 from bsk_torch.sim.environment.ephemeris import sun_at, turned
 from bsk_torch.sim.instruments import differs
 from bsk_torch.vec3 import Vec3, only
+
+Update = Callable[[Bus], None]
 
 QUARTER = 0.5 * math.pi
 
@@ -27,7 +29,7 @@ FIRST_ALTITUDE = 1000.0  # height, m, of the place on the equator that is the ta
 
 
 @functools.cache
-def aim_at_place(minimum: bool, maximum: bool, vertical: Vertical = "radius") -> Callable[[Bus], None]:
+def aim_at_place(minimum: bool, maximum: bool, vertical: Vertical = "radius") -> Update:
     """Return the update of targets with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
 
     def aim(bus: Bus) -> None:
@@ -107,6 +109,22 @@ VERTICAL = "imageTargetVertical"
 SUN_PARAMETERS = ("target_least_sun", "target_most_sun")  # parameters of the tick, the sines of SUN_LIMITS
 
 
+def targets_that(wrap: Callable[[Update], Update], state: Sequence[Field], initial: Computation) -> Component:
+    """Return the component of targets with more fields of the state, whose update is ``wrap`` of that of other targets.
+
+    It fits the light that the arguments as given ask for, as :data:`IMAGE_TARGET` does.
+    """
+
+    @functools.cache
+    def of_form(minimum: bool, maximum: bool, vertical: Vertical) -> Component:
+        place = lit_target(minimum, maximum, vertical)
+        update, fields = wrap(aim_at_place(minimum, maximum, vertical)), (*place.state, *state)
+        fit = lambda arguments: of_form(*target_form(arguments))  # noqa: E731
+        return dataclasses.replace(place, update=update, state=fields, initial=initial, fit=fit)
+
+    return of_form(False, False, "radius")
+
+
 def fitted_target(arguments: UserArguments) -> Component:
     """Return the component of targets in the light that the arguments as given ask for."""
     return lit_target(*target_form(arguments))
@@ -165,14 +183,7 @@ IMAGE_TARGET = Component(
     args=(
         Arg("imageTargetMinimumElevation", math.radians(45.0), "rad", "least elevation of the satellite above the target"),
         MAXIMUM_RANGE,
-        Arg(
-            "groundLocationPlanetRadius",
-            R_EARTH,
-            "m",
-            "radius of the sphere on which the target initially lies",
-            low=1e-9,
-            high=1e9,
-        ),
+        Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere of the first target", low=1e-9, high=1e9),
         *SUN_LIMITS,
         Arg(VERTICAL, "radius", "-", "vertical of elevations; the scenario sets it", "constant", choices=("radius", "wgs84")),
     ),

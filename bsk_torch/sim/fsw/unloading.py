@@ -8,7 +8,8 @@ import torch
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.effectors.torque_bars import described_bars, unit_bars
+from bsk_torch.sim.dyn.axes import unit_rows
+from bsk_torch.sim.dyn.effectors.torque_bars import described_bars
 from bsk_torch.sim.fsw.desaturation import stored_momentum
 
 NO_FIELD = 1e-20  # square of a magnetic field, T^2, below which bars are not used
@@ -63,7 +64,10 @@ def unloading(count: int) -> Component:
         args=ARGS,
         params=(Field("bar_gain", 1, "1/s"), Field("bar_map", 3 * count, vectors=True)),
         reads=("barAxes_B",),
-        prepare=lambda args: {"bar_gain": args["barGain"], "bar_map": torch.linalg.pinv(unit_bars(args).mT).flatten(-2)},
+        prepare=lambda args: {
+            "bar_gain": args["barGain"],
+            "bar_map": torch.linalg.pinv(unit_rows(args["barAxes_B"]).mT).flatten(-2),
+        },
         check_tick=_check_gain,
     )
 

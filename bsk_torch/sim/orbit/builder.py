@@ -30,7 +30,6 @@ class KernelBuilder:
     """
 
     def __init__(self) -> None:
-        """Start an empty program."""
         self.program = Tracer()
 
     def number(self, source: str, *index: int) -> Tensor:

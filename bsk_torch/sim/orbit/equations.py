@@ -31,6 +31,9 @@ from bsk_torch.sim.environment.ephemeris import pole_rate
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.vec3 import Mat3, Vec3
 
+FRAME_GROWTH = 0.5 * EARTH_ROTATION_RATE**2
+"""Growth ``w^2 / 2``, 1/s^2, of the stretch with the square of the time since C was taken."""
+
 
 def frame_stretch(step: float) -> float:
     """Return the mean stretch of equatorial components in steps of a length in s: ``w^2 <dt^2> / 2 = (w step)^2 / 6``.
@@ -39,11 +42,6 @@ def frame_stretch(step: float) -> float:
     weights 1/6, 1/3, 1/3, 1/6, so that ``<dt^2> = step^2 / 3``.
     """
     return (EARTH_ROTATION_RATE * step) ** 2 / 6.0
-
-
-def frame_growth() -> float:
-    """Return the growth ``w^2 / 2``, 1/s^2, of the stretch with the square of the time since C was taken."""
-    return 0.5 * EARTH_ROTATION_RATE**2
 
 
 def stretched(r: Vec3, stretch: float | Tensor) -> Vec3:

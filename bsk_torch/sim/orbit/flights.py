@@ -68,7 +68,6 @@ class KernelFlights(Flights):
     device = torch.device("cpu")
 
     def __init__(self, step: float, degree: int) -> None:
-        """Take the stretch of the arcs, and the degree of the Earth's field."""
         self.degree, self.stretch = degree, torch.tensor([frame_stretch(step)], dtype=torch.float64)
 
     @override
@@ -90,7 +89,6 @@ class TensorFlights(Flights):
     """Flights advanced on tensors."""
 
     def __init__(self, step: float, device: torch.device, degree: int) -> None:
-        """Take the stretch of the arcs, and the degree of the Earth's field."""
         self.degree, self.device = degree, device
         self.stretch = torch.tensor(frame_stretch(step), dtype=torch.float64, device=device)
 
@@ -166,19 +164,18 @@ def positions(flight: Tensor, s: Tensor) -> Tensor:
 
     ``r(s) = r + h s v + h^2 sum_j w_j a_j`` with the step h, s; s is not positive, and not below ``-REMEMBERED``.
     """
-    weights = _weights(_integrals(flight.device)[0], s) * (s * s * MULTISTEP_STEP**2)
-    by_row = (-1, *[1] * (flight.ndim - 2))
-    total = torch.zeros_like(flight[:3])
-    for j, weight in enumerate(weights):
-        total = torch.addcmul(total, flight[6 + 3 * j : 9 + 3 * j], weight.view(by_row))
-    return flight[:3] + flight[3:6] * (s * MULTISTEP_STEP).view(by_row) + total
+    integral = _integral(flight, _weights(_integrals(flight.device)[0], s) * (s * s * MULTISTEP_STEP**2))
+    return flight[:3] + flight[3:6] * (s * MULTISTEP_STEP).view(-1, *[1] * (flight.ndim - 2)) + integral
 
 
 def velocities(flight: Tensor, s: Tensor) -> Tensor:
     """Return velocities, [3, n, ...] m/s in N; see :func:`positions`."""
-    weights = _weights(_integrals(flight.device)[1], s) * (s * MULTISTEP_STEP)
-    by_row = (-1, *[1] * (flight.ndim - 2))
+    return flight[3:6] + _integral(flight, _weights(_integrals(flight.device)[1], s) * (s * MULTISTEP_STEP))
+
+
+def _integral(flight: Tensor, weights: Tensor) -> Tensor:
+    """Return the sum of accelerations of flights [C, n, ...] with weights [MULTISTEP_ORDER, n], [3, n, ...]."""
     total = torch.zeros_like(flight[:3])
     for j, weight in enumerate(weights):
-        total = torch.addcmul(total, flight[6 + 3 * j : 9 + 3 * j], weight.view(by_row))
-    return flight[3:6] + total
+        total = torch.addcmul(total, flight[6 + 3 * j : 9 + 3 * j], weight.view(-1, *[1] * (flight.ndim - 2)))
+    return total

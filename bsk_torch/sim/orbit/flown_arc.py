@@ -104,8 +104,8 @@ def start_kernel(degree: int) -> Kernel:
 
 
 @cache
-def flown_kernel(degree: int) -> Kernel:
-    """Return the kernel that finds positions on the flown arc, one each tick of :data:`MULTISTEP_STEP`.
+def flown_kernel(degree: int, writes: bool) -> Kernel:
+    """Return the kernel that finds positions on the flown arc, one each tick of :data:`MULTISTEP_STEP`, and may write them.
 
     Predict, evaluate, correct, with q = MULTISTEP_ORDER remembered accelerations and the weights p, c and d of
     :mod:`bsk_torch.astro.multistep`, h the step::
@@ -122,17 +122,7 @@ def flown_kernel(degree: int) -> Kernel:
     r, v, *accelerations = builder.vectors("state", 2 + MULTISTEP_ORDER)
     (stretch,) = builder.planes("shared", 1)
     r, v, remembered = flown_step(r, v, accelerations, builder.ephemeris, stretch, degree)
-    return builder.kernel("flown arc", [r, v, *remembered], (EPHEMERIS_TRACK,), [r])
-
-
-@cache
-def flight_kernel(degree: int) -> Kernel:
-    """Return the kernel of :func:`flown_kernel` that writes nothing."""
-    builder = KernelBuilder()
-    r, v, *accelerations = builder.vectors("state", 2 + MULTISTEP_ORDER)
-    (stretch,) = builder.planes("shared", 1)
-    r, v, remembered = flown_step(r, v, accelerations, builder.ephemeris, stretch, degree)
-    return builder.kernel("flight", [r, v, *remembered], (EPHEMERIS_TRACK,))
+    return builder.kernel("flown arc" if writes else "flight", [r, v, *remembered], (EPHEMERIS_TRACK,), [r] if writes else [])
 
 
 def flown_step(

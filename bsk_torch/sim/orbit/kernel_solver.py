@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.astro.earth_rotation import Earth
+from bsk_torch.astro.earth_rotation import IAU_EARTH, Earth
+from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.orbit import flown_arc, planned_arc
 from bsk_torch.sim.orbit.equations import frame_stretch
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP, RECORDS
+from bsk_torch.sim.orbit.picard import PicardSolver
 from bsk_torch.sim.orbit.solution import Solution, Solver
 
 MINUTE_NS, DIFFERENCE_STEP_NS = round(NODE_SPACING * 1e9), round(planned_arc.DIFFERENCE_STEP * 1e9)
@@ -29,7 +31,6 @@ class KernelSolver(Solver):
     tail = flown_arc.FLOWN_STATE + planned_arc.PLANNED_STATE
 
     def __init__(self, step: float, degree: int, earth: Earth) -> None:
-        """Take the stretches of both arcs, the degree of the Earth's field, and the model of its rotation."""
         self.degree, self.earth = degree, earth
         self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
 
@@ -122,5 +123,15 @@ def continue_flight(
 
     The positions of the steps are written to ``flown`` [n, K, 3], m, if given.
     """
-    kernel = flown_arc.flight_kernel(degree) if flown is None else flown_arc.flown_kernel(degree)
+    kernel = flown_arc.flown_kernel(degree, flown is not None)
     kernel(state, counts, [around], shared=stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)
+
+
+def make_solver(step: float, backend: str, device: torch.device, degree: int = DEGREE, earth: Earth = IAU_EARTH) -> Solver:
+    """Return the solver for a simulation with ticks of ``step`` seconds, in the Earth's field of a degree and order.
+
+    ``earth`` is the model of the Earth's rotation.
+    """
+    if backend == "compiled" and device.type == "cpu":
+        return KernelSolver(step, degree, earth)
+    return PicardSolver(step, backend, device, degree, earth)

@@ -31,8 +31,8 @@ from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
 from bsk_torch.sim.orbit.equations import (
+    FRAME_GROWTH,
     Surroundings,
-    frame_growth,
     frame_stretch,
     full_field,
     step_defect,
@@ -113,7 +113,6 @@ class PicardSolver(Solver):
     tail = 12
 
     def __init__(self, step: float, backend: str, device: torch.device, degree: int, earth: Earth) -> None:
-        """Make the matrices of the quadrature; ``degree`` is that of the Earth's field."""
         self.degree, self.earth = degree, earth
         self.device, self.kernels, self.compiled = device, kernels(backend), backend == "compiled"
         self.inside = quadrature(PICARD_DEGREE, None, str(device))
@@ -123,7 +122,7 @@ class PicardSolver(Solver):
         self.twice = ARC_SEGMENT**2 * self.inside.position
         self.stretch, self.plan_stretch, self.growth = (
             torch.tensor(x, dtype=torch.float64, device=device)
-            for x in (frame_stretch(step), frame_stretch(PLAN_STEP), frame_growth())
+            for x in (frame_stretch(step), frame_stretch(PLAN_STEP), FRAME_GROWTH)
         )
 
     @override

@@ -12,7 +12,7 @@ from bsk_torch.astro.interpolate import position, velocity
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
 from bsk_torch.sim.orbit.builder import ARC, KernelBuilder
-from bsk_torch.sim.orbit.equations import frame_growth, step_defect, zonal_field
+from bsk_torch.sim.orbit.equations import FRAME_GROWTH, step_defect, zonal_field
 from bsk_torch.sim.orbit.grid import NODE_SPACING, PLAN_STEP
 from bsk_torch.vec3 import Vec3
 
@@ -41,7 +41,7 @@ def planned_kernel() -> Kernel:
     r = [ephemeris.EN @ node[0] for node in nodes]
     v = [ephemeris.EN @ node[1] for node in nodes]
     defects = [(ephemeris.EN @ defect_r, ephemeris.EN @ defect_v)]
-    defects += [step_defect(r[k], v[k], plan_stretch, frame_growth()) for k in (1, 2)]
+    defects += [step_defect(r[k], v[k], plan_stretch, FRAME_GROWTH) for k in (1, 2)]
     pulls = [zonal_field(x, flown_stretch) for x in r]
 
     def rates(stage: int, offset: object, y: State) -> State:
@@ -76,5 +76,5 @@ def defect_kernel() -> Kernel:
     ephemeris = builder.ephemeris()
     path, s = builder.path(2)
     r, v = ephemeris.EN @ position(path, s), ephemeris.EN @ velocity(path, s, NODE_SPACING)
-    rates = step_defect(r, v, plan_stretch, frame_growth())
+    rates = step_defect(r, v, plan_stretch, FRAME_GROWTH)
     return builder.kernel("planned arc's start", [dr, dv, *(ephemeris.EN.mT @ x for x in rates)], (EPHEMERIS_TRACK, ARC))

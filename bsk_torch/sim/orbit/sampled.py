@@ -40,7 +40,6 @@ class SampledArcs(Arcs):
         *,
         elements: Sequence[ElementSet],
     ) -> None:
-        """See :class:`~bsk_torch.sim.orbit.arcs.Arcs`; ``elements`` are the sets of the satellites of an environment."""
         super().__init__(num_envs, spans, solver, kept, count)
         self.elements = tuple(elements)
 

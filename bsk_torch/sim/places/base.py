@@ -45,17 +45,11 @@ TARGETS = "target_r_LP_P"
 
 
 class Places(ABC):
-    """A kind of places, P in every environment.
-
-    Attributes:
-        tables: Tables of the simulation.
-        clearances: Conditions of a clear view, all of which must hold.
-        advice: What a user can do if none of the places comes into view, as the end of an error message.
-        names: Names of the places; empty for none.
-    """
+    """A kind of places, P in every environment."""
 
     tables: PlaceTables
-    clearances: Sequence[Clearance] = ()
+    clearances: Sequence[Clearance] = ()  # conditions of a clear view, all of which must hold
+    # what a user can do if none of the places comes into view, as the end of an error message
     advice: str = "lengthen the orbits' look-ahead, or ask for more places"
     names: Sequence[str] = ()
 
@@ -113,36 +107,27 @@ class DrawnPlaces(Places):
 
 
 class Sites(NamedTuple):
-    """Places on the ground; n is the number of satellites, or 1 if all have the same places.
+    """Places on the ground; n is the number of satellites, or 1 if all have the same places."""
 
-    Attributes:
-        r_LP_P: Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others.
-        sin_min_elevation: Sines of the minimum elevation, [n, P].
-        shift: :func:`~bsk_torch.astro.geodetic.axis_shift`, [n, P] m; None for elevations from the radius.
-    """
-
-    r_LP_P: Tensor
-    sin_min_elevation: Tensor
-    shift: Tensor | None = None
+    r_LP_P: Tensor  # Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others
+    sin_min_elevation: Tensor  # sines of the minimum elevation, [n, P]
+    shift: Tensor | None = None  # axis_shift of each place, [n, P] m; None for elevations from the radius
 
 
 class FixedPlaces(Places):
     """Places that rest on the Earth, and see satellites above a minimum elevation, in a given light.
 
     Their windows are found by kernels, which makes them the fastest kind; not those of subclasses with ``clearances``.
-
-    Attributes:
-        light: Conditions on the elevation of the Sun, all of which must hold.
     """
 
-    light: Sequence[SunElevation] = ()
+    light: Sequence[SunElevation] = ()  # conditions on the elevation of the Sun, all of which must hold
+    may_lack = False  # whether places may not exist in some environments
 
     def __init__(
         self,
         r_LP_P: Tensor | Callable[[], Tensor],
         sin_min_elevation: float | Callable[[Tensor], Tensor],
         *,
-        exists: Callable[[], Tensor] | None = None,
         satellites: int = 1,
         light: Sequence[SunElevation] = (),
         tables: PlaceTables | None = None,
@@ -156,7 +141,6 @@ class FixedPlaces(Places):
             r_LP_P: Earth-fixed positions, [1, P, 3] m for all environments or [num_envs, P, 3]; or a function that returns them,
                 such as ``lambda: tables.drawn["buoy_r_LP_P"]`` of what a scenario draws.
             sin_min_elevation: Sine of the minimum elevation: a number, or a function of rows [n] that returns [n or 1, P or 1].
-            exists: Function that returns which places exist, [num_envs, P], 1 or 0.
             satellites: Satellites in each environment, ``tables.arguments.count``.
             light: Conditions such as ``[SunElevation(0.1)]``.
             tables: Tables of the simulation; needed with ``light``, which depends on the time.
@@ -169,7 +153,7 @@ class FixedPlaces(Places):
         """
         if light and tables is None:
             raise ValueError(f"light={light!r} needs tables=, those that place_kinds(tables) was called with")
-        self._table, self._limit, self._exists, self.light = r_LP_P, sin_min_elevation, exists, tuple(light)
+        self._table, self._limit, self.light = r_LP_P, sin_min_elevation, tuple(light)
         self.satellites, self.advice, self.names, self.vertical = satellites, advice, tuple(names), vertical
         if tables is not None:
             self.tables = tables
@@ -197,14 +181,6 @@ class FixedPlaces(Places):
         return entries(table, (envs if row is None else row[envs]).view(-1, *[1] * (place.ndim - 1)), place)
 
     @override
-    def exists(self, rows: Tensor) -> Tensor:
-        return super().exists(rows) if self._exists is None else self._exists()[rows // self.satellites] > 0.5
-
-    @property
-    def _may_lack(self) -> bool:
-        return self._exists is not None
-
-    @override
     def max_speed(self, rows: Tensor) -> Tensor:
         return torch.zeros(1, 1, dtype=torch.float64, device=rows.device)
 
@@ -213,11 +189,11 @@ class FixedPlaces(Places):
         (table, row), given = self._stored(), self._limit(rows) if callable(self._limit) else self._limit
         sines = torch.as_tensor(given, dtype=table.dtype, device=table.device)
         sines = (sines if sines.ndim else sines.view(1, 1)).expand(-1, table.shape[1])
-        if len(table) == len(sines) == 1 and not self._may_lack:
+        if len(table) == len(sines) == 1 and not self.may_lack:
             return Sites(table, sines, self._shift(table))
         envs = rows // self.satellites if row is None else row[rows // self.satellites]
         r_LP_P = table[envs] if len(table) > 1 else table.repeat(len(rows), 1, 1)
-        if self._may_lack:
+        if self.may_lack:
             r_LP_P.masked_fill_(~self.exists(rows).unsqueeze(-1), torch.nan)
         return Sites(r_LP_P, sines.expand(r_LP_P.shape[:2]), self._shift(r_LP_P))
 
@@ -227,6 +203,8 @@ class FixedPlaces(Places):
 
 class DrawnTargets(FixedPlaces):
     """Targets that a scenario draws, by the names :data:`TARGETS` and ``target_exists``; read as the table stores them."""
+
+    may_lack = True
 
     def __init__(
         self,
@@ -260,10 +238,6 @@ class DrawnTargets(FixedPlaces):
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
         return self._drawn.shared(TARGETS)
-
-    @property
-    def _may_lack(self) -> bool:
-        return True
 
     @override
     def exists(self, rows: Tensor) -> Tensor:

@@ -28,21 +28,15 @@ SLACK = 1e-5  # angle, rad, or fraction by which screens are wider than bounds, 
 class PlaceTables(NamedTuple):
     """Tables that kinds of places read; N rows of satellites in ``num_envs`` environments.
 
-    Attributes:
-        drawn: Draws of the scenario, [num_envs, ...] each; read whenever positions are requested, since they change at resets.
-        arguments: Arguments of satellites and world, [N, ...] each; likewise.
-        world: Arguments of the world that are the same in all environments, such as the ground stations.
-        instruments: Several instruments of the satellites; none if they have a single one.
-        vertical: Direction from which elevations over targets are counted.
-        earth: Model of the Earth's rotation.
+    Draws and arguments change at resets, so they are read whenever positions are requested.
     """
 
-    drawn: DrawTable
-    arguments: StateTable
-    world: Values
-    instruments: Sequence[Instrument] = ()
-    vertical: Vertical = "radius"
-    earth: Earth = IAU_EARTH
+    drawn: DrawTable  # draws of the scenario, [num_envs, ...] each
+    arguments: StateTable  # arguments of satellites and world, [N, ...] each
+    world: Values  # arguments of the world that are the same in all environments, such as the ground stations
+    instruments: Sequence[Instrument] = ()  # several instruments of the satellites; none if they have a single one
+    vertical: Vertical = "radius"  # direction from which elevations over targets are counted
+    earth: Earth = IAU_EARTH  # model of the Earth's rotation
 
     def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
@@ -68,23 +62,14 @@ class PlaceTables(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """Satellites B and places L at the same times; all tensors broadcast to [n, ...].
+    """Satellites B and places L at the same times; all tensors broadcast to [n, ...]."""
 
-    Attributes:
-        rows: Rows of the satellites, [n].
-        place: Numbers of the places.
-        time: Times, s since reset.
-        r_BP_P: Earth-fixed position of the satellite, m.
-        r_LP_P: Earth-fixed position of the place, m.
-        tables: Tables of the kind, for the position of the Sun.
-    """
-
-    rows: Tensor
-    place: Tensor
-    time: Tensor
-    r_BP_P: Vec3
-    r_LP_P: Vec3
-    tables: PlaceTables
+    rows: Tensor  # rows of the satellites, [n]
+    place: Tensor  # numbers of the places
+    time: Tensor  # s since reset
+    r_BP_P: Vec3  # Earth-fixed position of the satellite, m
+    r_LP_P: Vec3  # Earth-fixed position of the place, m
+    tables: PlaceTables  # of the kind, for the position of the Sun
 
 
 class Clearance(Protocol):
@@ -99,8 +84,9 @@ class Clearance(Protocol):
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Return False, [n, ...], where the condition cannot hold as long as neither satellite nor place is further away.
 
-        The satellite moves by up to ``moved_B``, the place by up to ``moved_L`` m. True is always right, but slow.
+        The satellite moves by up to ``moved_B``, the place by up to ``moved_L`` m. True, the default, is always right, but slow.
         """
+        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
 
 
 Limit = float | Callable[[Tensor], Tensor]
@@ -125,9 +111,8 @@ class AboveElevation:
     def margin(self, sight: Sight) -> Tensor:
         """Return how far the satellite is above the least elevation, by :func:`~bsk_torch.astro.sight.elevation_clearance`."""
         least = limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)
-        if self.vertical == "wgs84":
-            return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least, axis_shift(sight.r_LP_P))
-        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least)
+        shift = axis_shift(sight.r_LP_P) if self.vertical == "wgs84" else None
+        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least, shift)
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the central angle with the largest one: a point at r that moves by d turns by at most asin(d / r)."""
@@ -179,7 +164,7 @@ class ClearOfEarth:
 
 
 @dataclass(frozen=True)
-class Lit:
+class Lit(Clearance):
     """The Sun shines on the place: at least the fraction ``visible`` of its diameter is above the Earth's limb there.
 
     0 is the edge of the umbra, 1 that of the penumbra; at 0.5 half of the Sun's disc is visible. On the ground, the Sun is above
@@ -192,13 +177,9 @@ class Lit:
         """Return how far the place is in the light, by :func:`~bsk_torch.astro.eclipse.sunlight_margin`."""
         return sunlight_margin(sight.r_LP_P, Vec3.of(sight.tables.sun(sight.rows, sight.time)), self.visible)
 
-    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
-        """Return True: light changes too quickly in orbit to screen by it."""
-        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
-
 
 @dataclass(frozen=True)
-class SunElevation:
+class SunElevation(Clearance):
     """The Sun is at or above an elevation at the place, or at or below it if ``below``; ``sine`` is that of the elevation."""
 
     sine: Limit
@@ -214,7 +195,3 @@ class SunElevation:
         sine = sin_elevation(Vec3.of(tables.sun(rows, time)), r_LP_P, vertical_of(r_LP_P, self.vertical))
         above = sine - limit_of(rows, self.sine, sine)
         return -above if self.below else above
-
-    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
-        """Return True: the Sun moves for as long as the satellite does, which is not known here."""
-        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)

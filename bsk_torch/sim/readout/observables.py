@@ -40,7 +40,6 @@ class Arguments:
     """Arguments of the current episodes by name, planes or vectors."""
 
     def __init__(self, read: Callable[[str], object]) -> None:
-        """Look arguments up with ``read``."""
         self._read = read
 
     def __getattr__(self, name: str) -> Any:
@@ -121,7 +120,6 @@ class observable(property):  # noqa: N801  - a decorator
     """
 
     def __init__(self, function: Function) -> None:
-        """Decorate ``function``."""
         super().__init__(operator.methodcaller("observed", function))
         self.function, self.__name__ = function, function.__name__
         self.__doc__ = function.__doc__  # otherwise a subclass of property has the docstring of the class
@@ -154,18 +152,12 @@ ROUNDING = 1e-6  # difference between a kernel and torch that counts as rounding
 
 
 class Observer:
-    """Reads observables of a simulation, each at most once between two changes of its state.
-
-    Attributes:
-        wanted: Functions read at every step, which one kernel computes together, but for those that no kernel can compute.
-        missed: Functions that have been computed on tensors, one by one.
-    """
+    """Reads observables of a simulation, each at most once between two changes of its state."""
 
     def __init__(self, state: SatelliteState, arcs: Arcs, backend: str) -> None:
-        """Read the ``state`` of satellites on ``arcs``."""
         self.state, self.arcs, self.kernels = state, arcs, backend == "compiled" and state.device.type == "cpu"
-        self.wanted: tuple[Function, ...] = ()
-        self.missed: dict[Function, None] = {}
+        self.wanted: tuple[Function, ...] = ()  # read at every step, together where a kernel can compute them
+        self.missed: dict[Function, None] = {}  # computed on tensors, one by one
         self._kernel: ObserverKernel | None = None
         self._table: Tensor | None = None
         self._values: dict[Function, Tensor] = {}
@@ -196,8 +188,7 @@ class Observer:
                 self.missed[function] = None
                 value = as_tensor(function(self.now))
             else:
-                table = self._read_all(kernel) if self._table is None else self._table
-                value = kernel.column(table, function)
+                value = kernel.column(self._present(kernel), function)
             self._values[function] = value
         return value
 
@@ -212,23 +203,21 @@ class Observer:
         columns = None if kernel is None else kernel.columns(functions, kind)
         if kernel is None or columns is None:
             return None
-        if self._version != self.state.version:
-            self._forget_the_past()
-        columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
+        columns_read = self._present(kernel)[:, columns]
         return columns_read > 0.5 if kind is bool else columns_read
 
     def table(self) -> tuple[Tensor, ObserverKernel] | None:
         """Return all that the kernel computes, [N, W], and the kernel, which knows the columns; None without a kernel."""
         kernel = (self._kernel or self._built()) if self.kernels and self.wanted else None
-        if kernel is None:
-            return None
+        return None if kernel is None else (self._present(kernel), kernel)
+
+    def _present(self, kernel: ObserverKernel) -> Tensor:
+        """Return all that the kernel computes, [N, W]."""
         if self._version != self.state.version:
             self._forget_the_past()
-        return self._read_all(kernel) if self._table is None else self._table, kernel
-
-    def _read_all(self, kernel: ObserverKernel) -> Tensor:
-        table = self._table = kernel(self.state, self.arcs)
-        return table
+        if self._table is None:
+            self._table = kernel(self.state, self.arcs)
+        return self._table
 
     @property
     def now(self) -> Now:
@@ -241,7 +230,7 @@ class Observer:
 
     def _built(self) -> ObserverKernel | None:
         if self._kernel is None:
-            functions = tuple(function for function in self.wanted if of_package([function]) or self._has_kernel(function))
+            functions = tuple(function for function in self.wanted if of_package([function]) or self.has_kernel(function))
             try:
                 self._kernel = ObserverKernel.of(self.state, functions) if functions else None
                 if self._kernel is not None and (same := self._agreeing(self._kernel)) != functions:
@@ -254,10 +243,6 @@ class Observer:
             self._own = tuple(function for function in layout if isinstance(function, OwnFunction))
         return self._kernel
 
-    def can_trace(self, function: OwnFunction) -> bool:
-        """Return whether a kernel can compute a user's function of tensors; otherwise a sentence in the log names the reason."""
-        return self.kernels and self._has_kernel(function)
-
     def _leave_changed(self) -> None:
         """Compute functions whose variables have changed since they were traced on tensors from now on."""
         changed = [function for function in self._own if not function.unchanged]
@@ -268,7 +253,7 @@ class Observer:
             self.want(())
             self._own = ()
 
-    def _has_kernel(self, function: Function) -> bool:
+    def has_kernel(self, function: Function) -> bool:
         """Return whether a kernel can compute a user's function; otherwise a sentence in the log names the reason."""
         try:
             one, two = (ObserverProgram(self.state, [function]).text for _ in range(2))
@@ -349,17 +334,12 @@ def now_on_tensors(state: SatelliteState, arcs: Arcs, moments: Moments | None = 
 
 
 class ObserverProgram:
-    """Observables traced into one program.
-
-    Attributes:
-        arguments: Arguments that they read, in the order of the planes.
-        values: What they are, a value or several for each.
-    """
+    """Observables traced into one program."""
 
     def __init__(self, state: SatelliteState, functions: Sequence[Function]) -> None:
         """Trace the functions; UntraceableError for one that does something else than kernels can."""
         self.tracer = program = Tracer()
-        self.arguments: list[str] = []
+        self.arguments: list[str] = []  # those read, in the order of the planes
         widths: dict[str, int] = {}
 
         def read(name: str) -> object:

@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import BuiltinFunctionType, FrameType, FunctionType, ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -29,6 +29,9 @@ from bsk_torch.codegen.trace import Proxy
 from bsk_torch.sim.readout.surroundings import World
 from bsk_torch.vec3 import Mat3, Vec3
 
+if TYPE_CHECKING:
+    from bsk_torch.sim.readout.observables import Now
+
 FIXED_MODULES = {"torch", "numpy", "math", PACKAGE}
 """Packages whose functions follow from their arguments, apart from random numbers, which two traces tell."""
 
@@ -38,7 +41,7 @@ PLAIN = (int, float, str, bytes, bool, type(None), torch.dtype, torch.device)
 
 CODE = FunctionType, BuiltinFunctionType, type, property, classmethod, staticmethod, np.ufunc
 
-WORLD: dict[str, Callable[[Any], Any]] = {
+WORLD: dict[str, Callable[[Now], object]] = {
     "r_SN_N": lambda now: now.r_SN_N,
     "sun_direction_N": lambda now: now.r_SN_N.unit(),
     "PN": lambda now: now.PN,
@@ -51,19 +54,14 @@ Watched = list[tuple[Callable[..., object], str, object]]
 
 
 class OwnFunction:
-    """A user's function of satellites on tensors, as a function of the present for kernels.
-
-    Attributes:
-        on_tensors: Calls it on tensors.
-        watched: Variables that it reads; see :attr:`unchanged`.
-    """
+    """A user's function of satellites on tensors, as a function of the present for kernels."""
 
     def __init__(self, function: object, of: object, satellite: Any, on_tensors: Callable[[], Tensor], name: str) -> None:
-        """Trace ``function`` of a model ``of`` satellites, or of the satellites themselves if None."""
+        """Trace ``function`` of a model ``of`` satellites, or of the satellites themselves if None; ``on_tensors`` calls it."""
         self.function, self.of, self.satellite, self.on_tensors, self.__name__ = function, of, satellite, on_tensors, name
-        self.watched: Watched = []
+        self.watched: Watched = []  # variables that it reads; see unchanged
 
-    def __call__(self, now: Any) -> object:
+    def __call__(self, now: Now) -> object:
         """Return what the function computes of the present, planes of a kernel; UntraceableError for what no kernel can."""
         if not isinstance(self.function, FunctionType):
             raise UntraceableError(f"it is a {type(self.function).__name__}, not a function")
@@ -110,7 +108,7 @@ class _Reading:
 class _Arguments:
     """Arguments of the episodes, as ``sat_args`` has them."""
 
-    def __init__(self, now: Any, shapes: dict[str, tuple[int, ...]]) -> None:
+    def __init__(self, now: Now, shapes: dict[str, tuple[int, ...]]) -> None:
         self._now, self._shapes = now, shapes
 
     def __getitem__(self, name: str) -> object:
@@ -121,7 +119,7 @@ class _Arguments:
         return Batch(batch.cells.reshape(self._shapes[name]))
 
 
-def _satellite(whole: Any, now: Any) -> Any:
+def _satellite(whole: Any, now: Now) -> Any:
     """Return satellites of the classes of ``whole`` that read the present of a kernel: methods of classes run on them."""
     arguments = _Arguments(now, whole.simulator.state.arguments.shapes)
     read: Callable[[str], object] = lambda name: _batch(getattr(now, name))  # noqa: E731
@@ -143,7 +141,7 @@ def _satellite(whole: Any, now: Any) -> Any:
 class _Present:
     """The present, with batches in the place of the planes of a kernel."""
 
-    def __init__(self, now: Any) -> None:
+    def __init__(self, now: Now) -> None:
         self._now = now
 
     def __getattr__(self, name: str) -> object:
@@ -158,7 +156,9 @@ def _of_batches(value: Any) -> Any:
 
 
 class _World(_Reading):
-    def __init__(self, now: Any) -> None:
+    _now: Now
+
+    def __init__(self, now: Now) -> None:
         super().__init__("world")
         self.__dict__["_now"] = now
 
@@ -166,7 +166,7 @@ class _World(_Reading):
         return _batch(WORLD[name](self._now)) if name in WORLD else super().__getattr__(name)
 
 
-def _world(whole: Any, now: Any) -> object:
+def _world(whole: Any, now: Now) -> object:
     own = [name for name in WORLD if getattr(type(whole.simulator.world), name, None) is not getattr(World, name)]
     return _Reading("world") if own else _World(now)
 

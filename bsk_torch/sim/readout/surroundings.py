@@ -16,7 +16,6 @@ class World:
     """Sun, Earth and ground stations at the current time of each environment."""
 
     def __init__(self, state: SatelliteState, arcs: Arcs, stations: Sequence[Mapping[str, object]] = ()) -> None:
-        """Bind the world of satellites on ``arcs`` with ground stations."""
         self._state, self._arcs, self._stations = state, arcs, stations
 
     @property

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.visibility.planned import take_rows
-from bsk_torch.sim.names import nearest
 from bsk_torch.sim.simulator import Checkpoint, Simulator
-from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick.trace import Flight, Trace
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.fleet import Fleet
 
 MOST_NUMBERS, DEVICE_MOST_NUMBERS = 1 << 22, 1 << 25
 """Numbers that the traces of a run hold at once; longer runs, or those of more episodes, are made part by part.
@@ -38,24 +39,20 @@ class RunResult(NamedTuple):
 
 
 class Dependencies:
-    """Which type of satellites reads the trace of which, and the order in which types run.
-
-    Attributes:
-        depends_on: For each type, the type that it follows by slot.
-        order: The types, those followed before those that follow them, and those whose events end steps first.
-        first: The types that run before the end of a step is known, in their order, by whether there are stop conditions.
-    """
+    """Which type of satellites reads the trace of which, and the order in which types run."""
 
     def __init__(self, simulators: Sequence[Simulator]) -> None:
-        """Find the followed satellites."""
         self.simulators = simulators
+        # for each type, the type that it follows by slot
         self.depends_on = [{name: self._owner(name) for name in simulator.followed} for simulator in simulators]
         depth: dict[int, int] = {}
         while len(depth) < len(simulators):  # FleetBuilder has built those followed first, so there are no circles
             for k, others in enumerate(self.depends_on):
                 if k not in depth and all(other in depth for other in others.values()):
                     depth[k] = 1 + max((depth[other] for other in others.values()), default=0)
+        # those followed before those that follow them, and those whose events end steps first
         self.order = sorted(depth, key=lambda k: (depth[k], not simulators[k].stops))
+        # types that run before the end of a step is known, by whether there are stop conditions
         self.first = {watched: self._first(watched) for watched in (False, True)}
 
     def _owner(self, name: str) -> int:
@@ -89,112 +86,6 @@ class Dependencies:
         return [k for k in self.order if k in needed]
 
 
-class Recorder(Protocol):
-    """What records runs; see :class:`bsk_torch.sim.run.recording.Recording`."""
-
-    def begin(self, envs: Tensor) -> None:
-        """Record the present of the episodes ``envs`` [n], which have begun or been restored, where they are recorded."""
-
-    def prepare(self, envs: Tensor | None) -> Tensor:
-        """Note where a run of the episodes ``envs`` [n], or all, begins; return the places of the recorded ones among them."""
-
-    def add(self, envs: Tensor, ticks: Tensor, followed: Mapping[int, Mapping[str, Samples]]) -> None:
-        """Record a run of the recorded episodes ``envs`` [n] by ``ticks`` [n] from where :meth:`prepare` was called.
-
-        ``followed`` are traces of other satellites that the rows of each type read, by slot.
-        """
-
-
-class Satellites:
-    """What runs read of the satellites of ``num_envs`` episodes, S in each; see :class:`bsk_torch.sim.fleet.Fleet`.
-
-    Attributes:
-        simulators: One simulation for each type of satellite.
-        columns: Positions of the satellites of each type among the S of the fleet, [count] each.
-        names: Name of every satellite.
-        places: Type of each satellite of an episode by name, and its number among those of the type; on a trial, where there is
-            one of each type, satellites that are not simulated have the place of that one.
-        memory: The table ``memory`` of the state, [N, ...] each.
-        h: Length of a tick, s.
-        traced: Whether satellites depend on one another within a tick, so that runs leave traces.
-        varies: Whether some satellites are not present in some episodes; see :attr:`present`.
-        dependencies: Which types of satellites follow which.
-        stop_conditions: Conditions on several satellites that end a step; they need traces of the satellites.
-        flight_observers: Functions that read the traces of what has been run.
-        recordings: Recordings that have not been stopped.
-    """
-
-    state: StateTable
-
-    def __init__(
-        self, simulators: Sequence[Simulator], names: Sequence[str], places: Mapping[str, tuple[int, int]] | None, varies: bool
-    ) -> None:
-        """Put simulations of the same environments together; the ``places`` are those of ``names`` by default."""
-        self.simulators, self.names, self.varies = tuple(simulators), list(names), varies
-        first = self.simulators[0]
-        self.num_envs, self.size, self.device, self.h = first.num_envs, len(names), first.device, first.h
-        flown = sorted(column for simulator in self.simulators for column in simulator.columns)  # of a trial, one of each type
-        position = {column: k for k, column in enumerate(flown)}
-        self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
-        place_of = {self.names[p]: (k, i) for k, columns in enumerate(self.columns) for i, p in enumerate(columns.tolist())}
-        self.places = {name: place_of[name] for name in self.names} if places is None else dict(places)
-        order = torch.cat(self.columns)
-        self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
-        self.dependencies = Dependencies(self.simulators)
-        self.stop_conditions: list[StopCondition] = []
-        self.flight_observers: list[FlightObserver] = []
-        self.recordings: list[Recorder] = []
-        self.all_envs = torch.arange(self.num_envs, device=self.device)
-        self.memory = StateTable(self.num_envs, 1, self.device)
-        self.traced = any(simulator.records or simulator.followed for simulator in self.simulators)
-
-    def place_of(self, name: str) -> tuple[int, int]:
-        """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
-        if name not in self.places:
-            raise KeyError(f"{name!r} is not a satellite of the environment; {nearest(str(name), self.places)}")
-        return self.places[name]
-
-    @property
-    def ticks(self) -> Tensor:
-        """Ticks since reset, [N]."""
-        return self._clock("ticks")
-
-    @property
-    def sim_time(self) -> Tensor:
-        """Time since reset, [N] s."""
-        return self._clock("sim_time")
-
-    def _clock(self, name: str) -> Tensor:
-        if self.varies:  # the clocks of satellites that are not present stay at zero
-            return self.joined([getattr(simulator.state, name) for simulator in self.simulators]).amax(1)
-        state = self.simulators[0].state
-        return self.first_of_each(getattr(state, name), state.count)
-
-    @property
-    def present(self) -> Tensor | None:
-        """Satellites that take part in their episodes from beginning to death or end, [N, S]; None if all do in all."""
-        return self.joined([simulator.state["present"] for simulator in self.simulators]) if self.varies else None
-
-    def first_of_each(self, rows: Tensor, count: int) -> Tensor:
-        """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
-        return rows if count == 1 else rows.view(self.num_envs, -1)[:, 0].contiguous()
-
-    def joined(self, parts: Sequence[Tensor]) -> Tensor:
-        """Return the rows [N * count, ...] of all types by episode and satellite, [N, S, ...]."""
-        if self.size == 1:
-            return parts[0].unsqueeze(1)
-        if len(parts) == 1:
-            whole = parts[0].reshape(self.num_envs, -1, *parts[0].shape[1:])
-        else:
-            whole = torch.cat([part.reshape(self.num_envs, -1, *part.shape[1:]) for part in parts], 1)
-        return whole if self._order is None else whole[:, self._order]
-
-    def rows_of(self, part: int, table: Tensor) -> Tensor:
-        """Return the rows [N * count, ...] of one type from a table [N, S, ...]."""
-        rows = table if len(self.simulators) == 1 and self._order is None else table[:, self.columns[part]]
-        return rows.flatten(0, 1)
-
-
 @dataclass
 class Call:
     """A run of one type that is due, from the current state."""
@@ -211,14 +102,11 @@ class Call:
 class Part:
     """A run of n episodes of a fleet, whose traces are in memory together.
 
-    Attributes:
-        envs: The episodes, [n]; None for all of a fleet.
-        ends: Ticks that they run, [n]; at most, until all calls have been made.
-        events: For each type of satellites, whether an event ended the action of a row, [n * count], or None.
+    They run ``ends`` [n] ticks, at most until all calls have been made; ``events`` are those of :class:`RunResult`.
     """
 
     def __init__(
-        self, fleet: Satellites, envs: Tensor | None, now: Tensor, ends: Tensor, remaining: Tensor, expected: Sequence[Tensor]
+        self, fleet: Fleet, envs: Tensor | None, now: Tensor, ends: Tensor, remaining: Tensor, expected: Sequence[Tensor]
     ) -> None:
         """Prepare the run of the episodes ``envs`` [n], or all, which are ``now`` [N] ticks old, by at most ``ends`` [N] ticks.
 
@@ -317,7 +205,7 @@ class Part:
         return Flight(self._episodes(), self.since, self.ends, self.remaining, traces, counts)
 
 
-def parts_of(fleet: Satellites, moves: Tensor, ends: Tensor) -> Iterator[Tensor | None]:
+def parts_of(fleet: Fleet, moves: Tensor, ends: Tensor) -> Iterator[Tensor | None]:
     """Yield the episodes ``moves`` [N] in parts whose traces fit into memory together, longest runs first.
 
     Only where traces are read one must know which episodes move; elsewhere all run together, for which None stands.
@@ -325,7 +213,7 @@ def parts_of(fleet: Satellites, moves: Tensor, ends: Tensor) -> Iterator[Tensor 
     if not (fleet.traced or fleet.stop_conditions or fleet.flight_observers):
         yield None
         return
-    width = sum(simulator.count * simulator.tick.recorded_width for simulator in fleet.simulators)
+    width = sum(simulator.count * len(simulator.tick.recorded_planes) for simulator in fleet.simulators)
     most = MOST_NUMBERS if moves.device.type == "cpu" else DEVICE_MOST_NUMBERS
     envs = torch.nonzero(moves).squeeze(-1)
     ranked = envs[ends[envs].argsort(descending=True, stable=True)]
@@ -335,7 +223,7 @@ def parts_of(fleet: Satellites, moves: Tensor, ends: Tensor) -> Iterator[Tensor 
         ranked = ranked[size:]
 
 
-def together(fleet: Satellites, parts: Sequence[Part]) -> RunResult:
+def together(fleet: Fleet, parts: Sequence[Part]) -> RunResult:
     """Return the result of a run in parts."""
     if len(parts) == 1 and parts[0].envs is None:
         return RunResult(parts[0].ends, tuple(parts[0].events))

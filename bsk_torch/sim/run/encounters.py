@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,9 +18,11 @@ from bsk_torch.constants import NANO
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.run.coupled import Satellites
 from bsk_torch.sim.tick.trace import Flight
 from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.fleet import Fleet
 
 logger = logging.getLogger(__name__)
 
@@ -40,9 +42,14 @@ class EncounterPairs(NamedTuple):
     ranges: tuple[tuple[int, int], ...]  # deputies, each with its chief
 
     @property
+    def all(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of both kinds, ranges last."""
+        return (*self.conjunctions, *self.ranges)
+
+    @property
     def watched(self) -> set[int]:
         """Satellites whose positions are looked at."""
-        return {column for pair in (*self.conjunctions, *self.ranges) for column in pair}
+        return {column for pair in self.all for column in pair}
 
     def among(self, chosen: Sequence[int]) -> EncounterPairs:
         """Return the pairs of some satellites alone, by their numbers among these."""
@@ -145,18 +152,13 @@ def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, las
 
 
 class Encounters:
-    """Conjunctions and ranges of the satellites of a fleet.
+    """Conjunctions and ranges of the satellites of a fleet."""
 
-    Attributes:
-        pairs: Pairs of satellites by their numbers in the fleet.
-    """
-
-    def __init__(self, fleet: Satellites, pairs: EncounterPairs, compat: bool) -> None:
+    def __init__(self, fleet: Fleet, pairs: EncounterPairs, compat: bool) -> None:
         """Declare what the episodes remember, and end the steps of the fleet; ``compat`` repeats the bookings of recordings."""
         self.fleet, self.pairs = fleet, pairs
-        every = (*pairs.conjunctions, *pairs.ranges)
-        self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in every))
-        self._pair = tuple(self._distances.index(tuple(sorted(pair))) for pair in every)
+        self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in pairs.all))
+        self._pair = tuple(self._distances.index(tuple(sorted(pair))) for pair in pairs.all)
         places = sorted((c, k, i) for k, columns in enumerate(fleet.columns) for i, c in enumerate(columns.tolist()))
         self._places, size = [(k, i) for _, k, i in places], fleet.size
         booked = torch.zeros(len(pairs.conjunctions), size, size, dtype=torch.bool)
@@ -168,7 +170,7 @@ class Encounters:
             fleet.memory.declare(MET, False, len(pairs.conjunctions))
         if pairs.ranges:
             fleet.memory.declare(LEFT, False, len(pairs.ranges))
-        if every:
+        if pairs.all:
             fleet.stop_conditions.append(self.first_tick)
             fleet.flight_observers.append(self.book)
 
@@ -200,8 +202,7 @@ class Encounters:
         if self.fleet.present is None:
             return waiting
         present = self.fleet.present[envs]
-        every = (*self.pairs.conjunctions, *self.pairs.ranges)
-        return waiting & torch.stack([present[:, one] & present[:, other] for one, other in every], 1)
+        return waiting & torch.stack([present[:, one] & present[:, other] for one, other in self.pairs.all], 1)
 
     def _tracks(self, flight: Flight) -> dict[int, Tensor]:
         """Return the recorded positions of the watched satellites, [n, K + 1, 3] m each, by their numbers."""

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from typing_extensions import override
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import NANO
+from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import Function, Moments, as_tensor, now_on_tensors
-from bsk_torch.sim.run.coupled import Recorder, Satellites
 from bsk_torch.sim.simulator import Checkpoint
 
 NO_TICK = -1  # number of a tick that is not recorded
@@ -46,7 +45,7 @@ class _Type(NamedTuple):
     properties: tuple[tuple[Function, slice], ...]  # observables computed from the state, with their places among these numbers
 
 
-class Recording(Recorder):
+class Recording:
     """Fields of satellites at ticks of the current episodes and those that follow, until :meth:`stop`.
 
     Also a context, which stops it. Records are made at ends of ticks whose number since reset is a multiple of ``every``; that
@@ -61,7 +60,7 @@ class Recording(Recorder):
 
     def __init__(
         self,
-        fleet: Satellites,
+        fleet: Fleet,
         fields: Sequence[str],
         envs: Tensor,
         every: int,
@@ -117,8 +116,8 @@ class Recording(Recorder):
 
     # -- what env and fleet call --------------------------------------------------------------------------------------
 
-    @override
     def begin(self, envs: Tensor) -> None:
+        """Record the present of the episodes ``envs`` [n], which have begun or been restored, where they are recorded."""
         envs = envs[torch.isin(envs, self.envs)]
         if len(envs):
             ticks = self.fleet.ticks[envs]
@@ -130,8 +129,8 @@ class Recording(Recorder):
                 self._fill(values, kind, rows, number, state.planes[:, rows][self._needed(kind)].mT.unsqueeze(1))
             self._add(envs, number, values)
 
-    @override
     def prepare(self, envs: Tensor | None) -> Tensor:
+        """Note where a run of the episodes ``envs`` [n], or all, begins; return the places of the recorded ones among them."""
         if envs is None:
             where = self.envs
         else:
@@ -145,8 +144,11 @@ class Recording(Recorder):
             self._starts[kind.k] = simulator.checkpoint(simulator.state.rows_of(recorded))
         return where
 
-    @override
     def add(self, envs: Tensor, ticks: Tensor, followed: Mapping[int, Mapping[str, Samples]]) -> None:
+        """Record a run of the recorded episodes ``envs`` [n] by ``ticks`` [n] from where :meth:`prepare` was called.
+
+        ``followed`` are traces of other satellites that the rows of each type read, by slot.
+        """
         since = self.fleet.ticks[envs] - ticks
         first = since // self.every + 1
         most = int(((since + ticks) // self.every - first).max()) + 1 if len(envs) else 0

@@ -24,7 +24,7 @@ from bsk_torch.sim.dyn.forces.drag import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
 from bsk_torch.sim.tick.own_updates import WatchedBus, check_read, update_checked
-from bsk_torch.sim.tick.trace import recorded, trace_track
+from bsk_torch.sim.tick.trace import recorded
 
 _ON_ARC = "the orbit was computed in advance; pass orbit='integrated' to the environment"
 
@@ -81,7 +81,8 @@ class Tick:
         self.flags = Layout(Field(name) for name in dict.fromkeys((*flags, *declared)))
         self.followed, self.recorded = followed, recorded(components)
         self.arc_tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
-        traces = (trace_track(name, fields, h_ns * NANO) for name, fields in followed.items())
+        # bus.<name>[0] has the fields of a satellite that this one follows
+        traces = (Track(name, h_ns * NANO, tuple(fields), count=1) for name, fields in followed.items())
         self.supplied = tuple({track.name: track for component in components for track in component.tracks}.values())
         self.tracks = (*self.arc_tracks, *traces, *self.supplied)
 
@@ -242,11 +243,6 @@ class Tick:
             return Loop(program, self.wake(inputs), self.tracks, clock="start")
         planes, stop = self.advance(inputs, checked=True)
         return Loop(program, planes, self.tracks, [planes[k] for k in self.recorded_planes], stop=stop)
-
-    @property
-    def recorded_width(self) -> int:
-        """Number of planes that every tick records."""
-        return len(self.recorded_planes)
 
     @functools.cached_property
     def recorded_planes(self) -> list[int]:

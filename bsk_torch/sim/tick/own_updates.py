@@ -11,7 +11,6 @@ import copy
 import difflib
 from collections.abc import Callable, Collection
 from types import SimpleNamespace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -135,12 +134,11 @@ def _check_kind(slot: str, name: str, old: object, new: object) -> None:
         raise UpdateError(f"{title} of shape {list(new.shape)}; it must be a number of each environment")
 
 
-def _mapped(value: object, function: Callable[[Tensor], Tensor]) -> Any:
+def _mapped(value: object, function: Callable[[Tensor], Tensor]) -> object:
     if isinstance(value, Tensor):
         return function(value) if value.ndim else value
     if isinstance(value, tuple | list):
-        parts = [_mapped(part, function) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+        return getattr(value, "_make", type(value))(_mapped(part, function) for part in value)
     if isinstance(value, SimpleNamespace | Bus):
         other = copy.copy(value)
         vars(other).update((name, _mapped(part, function)) for name, part in vars(value).items())

@@ -8,6 +8,7 @@ in :data:`CHECK_EVERY` ticks, whether there is any row left.
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypedDict
@@ -54,7 +55,7 @@ class Runners(NamedTuple):
     """What runs ticks, and the tick at time zero, once for each row, as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` does."""
 
     run: Kernel | TickLoop
-    first_tick: Kernel | FirstTick
+    first_tick: Kernel | Callable[..., Tensor]
 
     def build(self, lockstep: int) -> None:
         """Build kernels for groups of ``lockstep`` rows that end together, where they are not there yet."""
@@ -79,34 +80,27 @@ def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int =
     if backend == "compiled":
         step = just_in_time(step, "tick")
     recorded = torch.tensor(tick.recorded_planes, dtype=torch.int64, device=device)
-    return Runners(TickLoop(step, tick.stops, recorded), FirstTick(tick))
+    return Runners(TickLoop(step, tick.stops, recorded), functools.partial(_first_tick, tick))
 
 
-class FirstTick:
-    """The tick at time zero on tensors."""
-
-    def __init__(self, tick: Tick) -> None:
-        """Run ``tick``."""
-        self.tick = tick
-
-    def __call__(
-        self,
-        state: Tensor,
-        counts: Tensor,
-        tracks: Sequence[Samples],
-        *,
-        shared: Tensor,
-        own: Tensor,
-        mode: Tensor,
-        flags: Tensor,
-        ticks: Tensor,
-        **_: object,
-    ) -> Tensor:
-        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
-        tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
-        planes = self.tick.wake(self.tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
-        state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
-        return counts
+def _first_tick(
+    tick: Tick,
+    state: Tensor,
+    counts: Tensor,
+    tracks: Sequence[Samples],
+    *,
+    shared: Tensor,
+    own: Tensor,
+    mode: Tensor,
+    flags: Tensor,
+    ticks: Tensor,
+    **_: object,
+) -> Tensor:
+    """Run the tick at time zero on tensors, as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
+    tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
+    planes = tick.wake(tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
+    state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
+    return counts
 
 
 class TickLoop:

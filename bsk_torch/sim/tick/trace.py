@@ -8,7 +8,7 @@ the motion of several satellites, such as the distance between them, is computed
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -31,11 +31,6 @@ def recorded(components: Sequence[Component]) -> tuple[Field, ...]:
         if name not in fields:
             raise ValueError(f"records={name!r} is no field of the state; {nearest(name, fields)}")
     return tuple(fields[name] for name in names)
-
-
-def trace_track(name: str, fields: Sequence[Field], h: float) -> Track:
-    """Return the track by which a tick of ``h`` seconds reads the fields of a satellite that it follows, as ``bus.<name>[0]``."""
-    return Track(name, h, tuple(fields), count=1)
 
 
 class Trace(NamedTuple):
@@ -64,7 +59,7 @@ class Trace(NamedTuple):
         return self.table[..., where.start] if self.layout.fields[name].width == 1 else self.table[..., where]
 
     def samples(self, h_ns: int, owner: Tensor) -> Samples:
-        """Return the trace as samples of :func:`trace_track` for rows that follow the rows ``owner`` [n] of the trace."""
+        """Return the trace as samples of a track, one record a tick, for rows that follow the rows ``owner`` [n] of the trace."""
         # records are looked up half a tick after their time, where no rounding of time moves them to a neighbor
         return Samples(self.table, (self.start.double() - 0.5) * (h_ns * NANO), owner)
 
@@ -87,3 +82,19 @@ class Flight(NamedTuple):
             raise ValueError(f"satellites of type {k} do not record {name!r}; list it in records of one of their components")
         values = trace.read(name)
         return values.view(len(self.envs), count, *values.shape[1:])
+
+
+class TrackSource(Protocol):
+    """Supplies the samples of a track to the N satellites of a simulation; see ``Simulator.sources``."""
+
+    def reach(self, time: Tensor) -> None:
+        """Make the samples of runs from now on reach ``time`` [N] s."""
+
+    def samples(self) -> Samples:
+        """Return the samples for all N rows."""
+
+
+def no_samples(track: Track, rows: int, device: torch.device) -> Samples:
+    """Return samples for N rows where nothing supplies them: zeros."""
+    table = torch.zeros(1, track.count, track.width, dtype=torch.float64, device=device)
+    return Samples(table, table.new_zeros(1), torch.zeros(rows, dtype=torch.int64, device=device))

@@ -9,7 +9,7 @@ from typing_extensions import override
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.comm.base import PEER
 from bsk_torch.sim.simulator import Simulator
-from bsk_torch.sim.tick.tracks import TrackSource, no_samples
+from bsk_torch.sim.tick.trace import TrackSource, no_samples
 from bsk_torch.tasks.objects.dyn import RSO_TRACK
 from bsk_torch.tasks.objects.orbits import CatalogOrbits
 

@@ -13,13 +13,13 @@ from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH, R_EARTH
 from bsk_torch.sim.access.light.eclipses import NOT_FOUND, SHORTEST_SEARCH, EclipseTable, search_range
 from bsk_torch.sim.access.lookahead import LookAhead
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between
 from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.sim.orbit.restartable import RestartableArcs
-from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.vec3 import Vec3
 from tests.sim.orbit.arcs import Solved, planned
 from tests.support.refusals import check_refusals, refusal

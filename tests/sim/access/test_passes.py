@@ -11,8 +11,15 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes import passes as module
-from bsk_torch.sim.access.passes.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen, sorted_on_tensors
-from bsk_torch.sim.access.passes.screen import sorted_events
+from bsk_torch.sim.access.passes.passes import (
+    SHORTEST_PASS,
+    GroundTrack,
+    Passes,
+    PassSearch,
+    coarse_screen,
+    sorted_events,
+    sorted_on_tensors,
+)
 from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility

@@ -12,7 +12,6 @@ from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes.passes import GroundTrack
-from bsk_torch.sim.access.visibility.backend import Visibility, make_visibility
 from bsk_torch.sim.access.visibility.geometry import (
     ABOVE_LIMIT,
     CLASSIFIED_SAMPLES,
@@ -25,8 +24,8 @@ from bsk_torch.sim.access.visibility.geometry import (
     classify,
     event_code,
 )
-from bsk_torch.sim.access.visibility.kernels import KernelVisibility
-from bsk_torch.sim.access.visibility.pairs import CULMINATION_ITERATIONS, Brackets, PlacePairs
+from bsk_torch.sim.access.visibility.interface import CULMINATION_ITERATIONS, Brackets, PlacePairs, Visibility
+from bsk_torch.sim.access.visibility.kernels import KernelVisibility, make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, sample_planned, take_rows
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
 from bsk_torch.sim.environment.ephemeris import ephemeris_records

@@ -9,7 +9,7 @@ import torch
 from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.windows import search as module
 from bsk_torch.sim.access.windows import table as window_table
 from bsk_torch.sim.access.windows.next_windows import next_windows

@@ -10,7 +10,7 @@ import bsk_torch
 from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import Solved, initial, places_of, planned, sines_of_elevation

@@ -15,7 +15,7 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes.passes import GroundTrack, PassSearch
-from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.kernels import make_visibility
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import at, every, fixed_samples, sine_of_elevation, sines_of_elevation

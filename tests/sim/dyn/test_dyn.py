@@ -365,7 +365,7 @@ def test_torques_of_motors_and_disturbances_act_on_wheels_and_hub():
         bus = a_bus(h=1.0, sigma_BN=[0.0] * 3, omega_BN_B=[0.0] * 3, Omega_WB_B=[0.0] * 3, motor_torque_B=[0.0] * 3)
         bus.inertia_B = Vec3(*INERTIA.unbind(-1))
         pulse = tuple(number(x) for x in (1.0, 0.0, 0.0, 0.0))
-        setattr(bus, name, pulse if name == "pulse" else thrusters.EIGHT_THRUSTERS.torque(pulse))
+        setattr(bus, name, pulse if name == "pulse" else thrusters.pair_torque(pulse))
         bus.effectors = (wheels.WHEELS.effector, *((thrusters.THRUSTERS.effector,) if name == "pulse" else ()))
         hub.rotate(bus)
         torques[name] = bus.omega_BN_B.stack() * (INERTIA - wheels.SPIN_INERTIA)

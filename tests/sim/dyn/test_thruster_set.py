@@ -12,11 +12,9 @@ from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn.effectors.thrusters import (
     ARGS,
     DIRECTIONS,
-    EIGHT_THRUSTERS,
     POSITIONS,
     THRUST,
     THRUSTERS,
-    ThrusterForm,
     arms_about_center,
     fitted_thrusters,
     thruster_set,
@@ -50,7 +48,7 @@ def random_args(count: int) -> dict[str, torch.Tensor]:
 
 def test_forces_and_torques_of_the_thrusters_that_fire():
     args = random_args(5)
-    part = thruster_set(ThrusterForm(5, True), tuple(OCTET[:5]))
+    part = thruster_set(True, tuple(OCTET[:5]))
     bus, on = Bus(1_000_000_000), (torch.rand(N, 5) > 0.5).double()
     values = part.prepare(args)
     for field in part.params:
@@ -121,7 +119,7 @@ def test_drawn_thrusters_fly_alike_compiled():
 def test_types_have_the_thrust_of_basilisks_factory():
     thrusts = [dyn.Thruster([0, 0, 1], [1, 0, 0], f"MOOG_Monarc_{kind}").thrust for kind in ("1", "5", "22_6", "22_12", "90LT")]
     assert thrusts == [0.9, 4.5, 22.0, 22.0, 90.0]
-    assert EIGHT_THRUSTERS.thrust == 0.9
+    assert THRUST == 0.9
 
 
 def test_thrusters_that_turn_otherwise_than_desired_or_never_fire_are_logged(caplog):

@@ -18,8 +18,7 @@ from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.effectors import wheels
-from bsk_torch.sim.dyn.effectors.friction import LINEAR_BELOW, friction_torques
-from bsk_torch.sim.dyn.effectors.wheel_set import WheelForm, latch, wheel_effector
+from bsk_torch.sim.dyn.effectors.wheel_set import LINEAR_BELOW, WheelForm, friction_torques, latch, wheel_effector
 from bsk_torch.sim.fsw.allocation import distribute, wheel_map
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, plane, vectors, write

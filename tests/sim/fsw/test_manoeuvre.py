@@ -16,11 +16,11 @@ def orbit(request):
 
 
 def test_burns_are_clipped_to_the_tank_which_is_composed_with_other_software():
-    done = burn(
+    dv_N, remaining, clipped = burn(
         torch.tensor([[3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]).double(), torch.tensor([10.0, 2.5, 0.0]).double()
     )
-    assert torch.allclose(done.dv_N, torch.tensor([[3.0, 4.0, 0.0], [1.5, 2.0, 0.0], [0.0, 0.0, 0.0]]).double(), atol=1e-15)
-    assert (done.remaining.tolist(), done.clipped.tolist()) == ([5.0, 0.0, 0.0], [False, True, False])
+    assert torch.allclose(dv_N, torch.tensor([[3.0, 4.0, 0.0], [1.5, 2.0, 0.0], [0.0, 0.0, 0.0]]).double(), atol=1e-15)
+    assert (remaining.tolist(), clipped.tolist()) == ([5.0, 0.0, 0.0], [False, True, False])
     names = [component.slot for component in Imager.get_fsw_type().all_components()]
     assert "manoeuvre" in names
     assert "location_pointing" in names

@@ -14,7 +14,7 @@ from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_betw
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit.arcs import ARC, Arcs
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.sim.places import FixedPlaces, Sites
 from bsk_torch.vec3 import Vec3
 

@@ -12,7 +12,7 @@ from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.flights import FIRST_STEP, KernelFlights, TensorFlights, make_flights, positions, velocities
 from bsk_torch.sim.orbit.grid import LEAD_NODES
-from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.vec3 import Vec3
 
 pytestmark = pytest.mark.compiled

@@ -4,8 +4,8 @@ import math
 
 import torch
 
+from bsk_torch.sim.access.visibility.planned import halved
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
-from bsk_torch.sim.orbit.halved import halved
 
 
 def test_positions_between_nodes_of_a_circle():

@@ -5,8 +5,8 @@ import torch
 
 from bsk_torch.sim.orbit.arcs import REACH_AROUND, Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING
+from bsk_torch.sim.orbit.kernel_solver import make_solver
 from bsk_torch.sim.orbit.restartable import RestartableArcs
-from bsk_torch.sim.orbit.solvers import make_solver
 from tests.sim.orbit.arcs import flown, orbits
 
 CPU = torch.device("cpu")

@@ -12,9 +12,8 @@ from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.flown_arc import MULTISTEP_ORDER, MULTISTEP_STEP
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP
-from bsk_torch.sim.orbit.kernel_solver import KernelSolver
+from bsk_torch.sim.orbit.kernel_solver import KernelSolver, make_solver
 from bsk_torch.sim.orbit.picard import COLUMN_BLOCK, PicardSolver, padded
-from bsk_torch.sim.orbit.solvers import make_solver
 from tests.sim.orbit.arcs import above, flown
 
 CPU = torch.device("cpu")

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.roots import find_root
+from bsk_torch.codegen.build import entry, load
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.access.light.next_eclipses import next_eclipses
 from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.windows.next_windows import check_times
 from bsk_torch.sim.access.windows.padded import tabulate
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP, SAMPLES_PER_SEGMENT
@@ -32,7 +37,14 @@ ROUNDING = 1e-9  # error of times by rounding, in steps of the grid
 NOT_FOUND = 1.0  # the answer to a query whose searches all fail: one second after the epoch
 
 CONSTANTS = torch.tensor([PLAN_STEP, SEARCH_STEP, SEARCHES, ROUNDING, NOT_FOUND], dtype=torch.float64)
-"""What the kernel of such queries has to know."""
+"""The struct ``Constants`` of the kernel of such queries."""
+
+
+@cache
+def next_eclipses_kernel() -> Callable[..., None]:
+    """Return the kernel of queries on samples, built or loaded when it is first needed."""
+    source = Path(__file__).with_name("next_eclipses.cpp").read_text()
+    return entry(load(source, "search for the next eclipses"), "ip" + "pipi" + "ppp" + "pp" + "ppp")
 
 
 def search_range(r_N: Tensor, v_N: Tensor) -> Tensor:
@@ -57,7 +69,6 @@ class EclipseTable(StateTable):
     ends: Tensor  # times of transitions out of it, likewise
 
     def __init__(self, arcs: Arcs, visibility: Visibility) -> None:
-        """Prepare an empty table for ``arcs``."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility = arcs, visibility
         self.__dict__["searched"] = SEARCH_STEP * torch.arange(SEARCHES, dtype=torch.float64, device=arcs.device).unsqueeze(-1)
@@ -162,8 +173,23 @@ class EclipseTable(StateTable):
         return self.query(time) if bool((self.needs(time) <= self.arcs.end).all()) else None
 
     def _by_kernel(self, time: Tensor, reached: Tensor | None) -> tuple[Tensor, Tensor] | None:
+        """Return what :meth:`query` does, bit for bit; None if arcs that go to ``reached`` [N] s are too short.
+
+        TypeError for times that are not float64, or of another shape: kernels read addresses.
+        """
         begun = self.arcs.begun if isinstance(self.arcs.begun, Tensor) else None
-        return next_eclipses(CONSTANTS, self.starts, self.ends, time, begun, reached, self.sampled, self.known)
+        times = {"time": time, "begun": begun, "reached": reached, "sampled": self.sampled, "known": self.known}
+        check_times(self.starts.shape[:1], times)
+        start, end = time.new_empty(2, len(time)).unbind(0)
+        late = ctypes.c_int64()
+        next_eclipses_kernel()(
+            len(time), CONSTANTS,
+            self.starts.contiguous(), self.starts.shape[1], self.ends.contiguous(), self.ends.shape[1],
+            time.contiguous(), None if begun is None else begun.contiguous(), None if reached is None else reached.contiguous(),
+            self.sampled, self.known,
+            start, end, ctypes.addressof(late),
+        )  # fmt: skip
+        return None if late.value else (start, end)
 
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the answer on samples to a query after ``time`` [N] s: times of samples, [N] s each."""

@@ -28,15 +28,9 @@ NEAR = 1.1  # factor of the slant range over a flat Earth within which samples a
 
 
 class Interpolator:
-    """Cubic spline through positions, with the samples that it goes through.
-
-    Attributes:
-        x: Times of the samples, [n] s.
-        y: Positions there, [n, 3] m.
-    """
+    """Cubic spline through positions ``y`` [n, 3] m at times ``x`` [n] s."""
 
     def __init__(self, x: Vector, y: Vector) -> None:
-        """Fit the spline."""
         from scipy.interpolate import CubicSpline
 
         self.x, self.y = x, y

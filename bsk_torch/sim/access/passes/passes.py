@@ -7,7 +7,9 @@ are then refined by root finding on an interpolated ground track.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -15,11 +17,10 @@ from torch import Tensor
 
 from bsk_torch.astro.geodetic import LARGEST_DEFLECTION
 from bsk_torch.astro.sight import max_central_angle
+from bsk_torch.codegen.build import entry, load
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.access.passes.screen import directions_above, sorted_events
 from bsk_torch.sim.access.visibility.geometry import ABOVE_LIMIT, RISE, SAMPLES_PER_CELL, SET, SHORT_PASS, SearchCells
-from bsk_torch.sim.access.visibility.interface import Visibility
-from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
+from bsk_torch.sim.access.visibility.interface import Brackets, PlacePairs, Visibility
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites
 from bsk_torch.sim.state import entries
@@ -179,7 +180,7 @@ class PassSearch:
 
 
 def sorted_on_tensors(codes: Tensor, row: Tensor, place: Tensor, cell: Tensor, last: int) -> Iterator[tuple[Tensor, ...]]:
-    """Yield the same as :func:`~bsk_torch.sim.access.passes.screen.sorted_events`."""
+    """Yield the same as :func:`~bsk_torch.sim.access.passes.passes.sorted_events`."""
     bits = codes.to(torch.uint8)
     pair, k = torch.nonzero(bits, as_tuple=True)
     code, sample = bits[pair, k], cell[pair] * SAMPLES_PER_CELL + k
@@ -192,3 +193,49 @@ def sorted_on_tensors(codes: Tensor, row: Tensor, place: Tensor, cell: Tensor, l
         yield row[pair[index]], place[pair[index]], sample[index], edge[index].long()
     index = torch.nonzero(code & SHORT_PASS).squeeze(-1)
     yield row[pair[index]], place[pair[index]], sample[index], torch.zeros_like(index)
+
+
+# -- lists made by kernels -----------------------------------------------------------------------------------------------------
+
+
+KERNELS = {"screen": "iiiii" + "ppp" + "pp", "events": "iiii" + "pppp" + "pp"}
+"""Signature of each kernel, whose name is that of its file."""
+
+
+@cache
+def list_kernel(name: str) -> Callable[..., None]:
+    """Return a kernel, built or loaded when it is first needed."""
+    return entry(load(Path(__file__).with_name(f"{name}.cpp").read_text(), f"search for passes ({name})"), KERNELS[name])
+
+
+def directions_above(middle: Tensor, r_LP_P: Tensor, limit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return row, place and cell where ``middle`` [n, C, 3] times the directions of places exceeds ``limit`` [n, C], in float32.
+
+    Positions ``r_LP_P`` [n or 1, P, 3] m are NaN for missing places. Pairs come in the order of rows, cells and places.
+    """
+    rows, cells = limit.shape
+    number, threads = torch.zeros(1, dtype=torch.int64), max(1, min(rows, torch.get_num_threads()))
+    tables = r_LP_P.contiguous(), middle.contiguous(), limit.contiguous()
+    sizes = rows, cells, r_LP_P.shape[1], len(r_LP_P) == 1, threads
+    list_kernel("screen")(*sizes, *tables, number, None)
+    pairs = torch.empty(3, int(number), dtype=torch.int64)
+    list_kernel("screen")(*sizes, *tables, number, pairs)
+    row, place, cell = pairs
+    return row, place, cell
+
+
+def sorted_events(codes: Tensor, row: Tensor, place: Tensor, cell: Tensor, last: int) -> Iterator[tuple[Tensor, ...]]:
+    """Yield starts, ends and short passes: row, place, sample, and whether an end of the search cuts the pass, [m'] each.
+
+    ``codes`` [m, CLASSIFIED_SAMPLES] are those of samples from the ``cell`` [m] on of each pair of ``row`` [m], ascending, and
+    ``place`` [m]; ``last`` is the last sample of the search. Starts and ends are sorted by row, place and time, short passes as
+    the pairs are.
+    """
+    tables = [table.contiguous() for table in (codes, row, place, cell)]
+    sizes = len(row), codes.shape[1], SAMPLES_PER_CELL, last
+    numbers = torch.zeros(3, dtype=torch.int64)
+    list_kernel("events")(*sizes, *tables, numbers, None)
+    events = torch.empty(4 * int(numbers.sum()), dtype=torch.int64)
+    list_kernel("events")(*sizes, *tables, numbers, events)
+    for part in events.split((4 * numbers).tolist()):
+        yield tuple(part.view(4, -1))

@@ -9,8 +9,7 @@ from bsk_torch.astro.interpolate import positions
 from bsk_torch.astro.roots import find_root
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
-from bsk_torch.sim.access.visibility.backend import Visibility
-from bsk_torch.sim.access.visibility.pairs import GROUND_TRACK
+from bsk_torch.sim.access.visibility.interface import GROUND_TRACK, Visibility
 from bsk_torch.sim.access.visibility.planned import records_around
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites

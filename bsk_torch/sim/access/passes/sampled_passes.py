@@ -19,7 +19,7 @@ from bsk_torch.astro.roots import find_maximum, find_root
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes
 from bsk_torch.sim.access.visibility.geometry import ABOVE_LIMIT, RISE, SET, SHORT_PASS, SearchCells, event_code
-from bsk_torch.sim.access.visibility.pairs import CULMINATION_ITERATIONS, GROUND_TRACK
+from bsk_torch.sim.access.visibility.interface import CULMINATION_ITERATIONS, GROUND_TRACK
 from bsk_torch.sim.access.visibility.planned import records_around
 from bsk_torch.sim.access.windows.padded import argsort_by_group
 from bsk_torch.sim.orbit.grid import PLAN_STEP

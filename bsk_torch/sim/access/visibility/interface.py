@@ -2,13 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from torch import Tensor
 
+from bsk_torch.astro.interpolate import BEFORE, COUNT
+from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.visibility.geometry import SearchCells
-from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, take_rows
+from bsk_torch.sim.component import Track, vec
+from bsk_torch.sim.orbit.grid import PLAN_STEP
+
+BISECTIONS, ROOT_ITERATIONS, CULMINATION_ITERATIONS = 10, 12, 25
+"""Steps of the searches. Ten bisections of 30 s leave less than the shortest pass: there the clearance is nearly straight, and
+regula falsi converges."""
+
+GROUND_TRACK = Track("path", PLAN_STEP, (vec("r_BN_P", "m", exact=True),), COUNT, BEFORE)
+"""Earth-fixed positions every 30 s, interpolated in between."""
+
+
+class PlacePairs(NamedTuple):
+    """Pairs of a satellite and a place."""
+
+    track: Samples  # Earth-fixed samples of the satellite of each pair
+    r_LP_P: Tensor  # Earth-fixed position of each place, [m, 3] m
+    sin_min_elevation: Tensor  # sine of the minimum elevation at each place, [m]
+    shift: Tensor | None = None  # axis_shift of each place, [m] m; None for elevations from the radius
+
+    def take(self, index: Tensor) -> PlacePairs:
+        """Return the pairs ``index``, which may repeat."""
+        shift = None if self.shift is None else self.shift[index]
+        return PlacePairs(take_rows(self.track, index), self.r_LP_P[index], self.sin_min_elevation[index], shift)
+
+
+class Brackets(NamedTuple):
+    """Times ``a`` and ``b`` [m], s, between which the clearance changes its sign, and the clearances at these times."""
+
+    a: Tensor
+    b: Tensor
+    clearance_a: Tensor
+    clearance_b: Tensor
 
 
 class Visibility(Protocol):

@@ -15,16 +15,17 @@ from bsk_torch.astro.roots import halved, narrowed, next_guess, placed, refined,
 from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
-from bsk_torch.sim.access.visibility.interface import Visibility
-from bsk_torch.sim.access.visibility.pairs import (
+from bsk_torch.sim.access.visibility.interface import (
     BISECTIONS,
     CULMINATION_ITERATIONS,
     GROUND_TRACK,
     ROOT_ITERATIONS,
     Brackets,
     PlacePairs,
+    Visibility,
 )
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.visibility.tensors import TensorVisibility
 from bsk_torch.sim.component import Bus, Track
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.builder import FINE, KernelBuilder
@@ -175,3 +176,8 @@ def culmination_kernel(geodetic: bool) -> Kernel:
     points = placed(left, clearance_left, right, clearance_right, time, clearance)
     a, b, new = narrowed(a, b, *points)
     return _pair_kernel("access passes", builder, GROUND_TRACK, [new, a, b, *points], [])
+
+
+def make_visibility(backend: str, device: torch.device) -> Visibility:
+    """Return the implementation for a back end: kernels for ``"compiled"`` on the CPU, else tensor operations."""
+    return KernelVisibility() if backend == "compiled" and device.type == "cpu" else TensorVisibility()

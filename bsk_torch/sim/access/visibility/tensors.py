@@ -11,14 +11,14 @@ from bsk_torch.astro.interpolate import positions
 from bsk_torch.astro.roots import find_maximum, find_root
 from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
-from bsk_torch.sim.access.visibility.interface import Visibility
-from bsk_torch.sim.access.visibility.pairs import (
+from bsk_torch.sim.access.visibility.interface import (
     BISECTIONS,
     CULMINATION_ITERATIONS,
     GROUND_TRACK,
     ROOT_ITERATIONS,
     Brackets,
     PlacePairs,
+    Visibility,
 )
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, records_around, sample_planned
 from bsk_torch.sim.environment.ephemeris import fixed

@@ -18,8 +18,8 @@ from bsk_torch.sim.access.light.light import in_light
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
 from bsk_torch.sim.access.passes.requested import long_enough, request_passes
 from bsk_torch.sim.access.passes.sampled_passes import find_passes
-from bsk_torch.sim.access.visibility.backend import Visibility
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits, take_rows
+from bsk_torch.sim.access.visibility.interface import Visibility
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, halved, take_rows
 from bsk_torch.sim.access.windows.generation import GenerationIntervals, true_windows, windows_by_interval
 from bsk_torch.sim.access.windows.next_windows import next_windows
 from bsk_torch.sim.access.windows.padded import tabulate
@@ -27,7 +27,6 @@ from bsk_torch.sim.access.windows.table import Windows, candidates, join_at, nex
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
-from bsk_torch.sim.orbit.halved import halved
 from bsk_torch.sim.places import FixedPlaces, Places
 from bsk_torch.sim.places.requested import RequestPlaces
 from bsk_torch.sim.state import StateTable
@@ -45,59 +44,31 @@ sample's two neighbors.
 PASSES_PER_SECOND = 1.2e-5  # typical rate of passes of a low orbit over one place, 1/s
 
 
-class WindowState(StateTable):
-    """Windows [N, W] over the places of one kind, see :class:`~bsk_torch.sim.access.windows.table.Windows`."""
-
-    open: Tensor
-    close: Tensor
-    place: Tensor
-
-    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
-        """Make an empty table."""
-        super().__init__(num_envs, count, device)
-        self.declare("open", math.inf, 1, grows=True, low=0.0)
-        self.declare("close", math.inf, 1, grows=True, low=0.0)
-        self.declare("place", 0, 1, grows=True, low=0)
-
-    def check_relations(self, path: str) -> None:
-        """See :meth:`StateTable.check_relations`: columns of windows sorted by closing time."""
-        widths = {name: self[name].shape[1] for name in self}
-        if len({*widths.values()}) > 1 or self.close.shape[1] < 1:
-            raise ValueError(f"'{path}*' of the saved state have {widths} columns; they must have equally many, at least one")
-        self.refuse(f"{path}close", self.close[:, 1:], self.close[:, 1:] < self.close[:, :-1], "they must be sorted")
-        self.refuse(f"{path}open", self.open, self.open > self.close, "a window must open before it closes")
-
-
 class AccessWindows(StateTable):
     """Windows of N satellites over several kinds of places.
 
     Searching is batched: windows are searched far ahead, up to ``ready`` [N] s, but queries see only those up to ``until`` [N] s,
-    with windows in progress cut there, as if they had been generated only so far.
-
-    Attributes:
-        arcs: Orbits of the satellites.
-        kinds: Places by kind of opportunity.
-        segment: Length, s, of the intervals that queries add.
-        until: End of what queries see, [N] s.
-        ready: End of what has been searched, [N] s.
-        ahead: Segments searched at once.
-        compat: Whether the windows are those of a search by intervals, with its errors, instead of the passes themselves.
+    with windows in progress cut there, as if they had been generated only so far. Queries add ``segment`` s, of which ``ahead``
+    are searched at once. With ``compat``, windows are those of a search by intervals, with its errors.
     """
 
-    until: Tensor
-    ready: Tensor
+    until: Tensor  # end of what queries see, [N] s
+    ready: Tensor  # end of what has been searched, [N] s
 
     def __init__(
         self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, Places], segment: float, compat: bool = False
     ) -> None:
-        """Prepare empty tables."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility, self.kinds, self.segment = arcs, visibility, dict(kinds), segment
         self.compat = compat
         self.declare("until", 0.0, low=0.0)
         self.declare("ready", 0.0, low=0.0)
         for kind in kinds:
-            self.add(kind, WindowState(self.num_envs, self.count, self.device))
+            table = StateTable(self.num_envs, self.count, self.device)  # of Windows, [N, W]
+            table.declare("open", math.inf, 1, grows=True, low=0.0)
+            table.declare("close", math.inf, 1, grows=True, low=0.0)
+            table.declare("place", 0, 1, grows=True, low=0)
+            self.add(kind, table)
         self.ahead, self._expected = max(1, round(SEARCH_AHEAD / segment)), 0.0
 
     def check_relations(self, path: str) -> None:
@@ -145,11 +116,6 @@ class AccessWindows(StateTable):
         for kind in self.kinds:
             self._store_windows(kind, rows, self._generate(kind, rows, track, intervals, duration), duration)
         self.until[rows], self.ready[rows] = duration, end
-
-    def store(self, kind: str, rows: Tensor, found: Windows) -> None:
-        """Replace the windows of ``rows``."""
-        for name, new in found._asdict().items():
-            self.tables[kind].write_rows(name, rows, new)
 
     def next(
         self, kind: str, time: Tensor, width: int, allowed: Tensor | None = None, rows: Tensor | None = None
@@ -321,4 +287,5 @@ class AccessWindows(StateTable):
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)
-        self.store(kind, rows, Windows(opens, close, place))
+        for name, new in {"open": opens, "close": close, "place": place}.items():
+            self.tables[kind].write_rows(name, rows, new)

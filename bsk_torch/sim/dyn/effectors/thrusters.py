@@ -17,8 +17,6 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -26,7 +24,7 @@ from torch import Tensor
 from bsk_torch._checks import number, vector
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
-from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, described, of_each, unit_rows
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.sim.names import nearest
@@ -43,38 +41,17 @@ DIRECTIONS = tuple((x, _SLANT, 0.0) for x in (-_SLANT, _SLANT) for _ in range(2)
 """Force directions in B of the same thrusters; those of the others are opposite."""
 
 
-Triple = tuple[float, float, float]
+ARMS = tuple((y * c - z * b, z * a - x * c, x * b - y * a) for (x, y, z), (a, b, c) in zip(POSITIONS, DIRECTIONS, strict=True))
+"""Torque per newton, m, of both thrusters of each pair, ``r x d``."""
 
 
-def _arm(position: Sequence[float], direction: Sequence[float]) -> Triple:
-    (x, y, z), (a, b, c) = position, direction
-    return (y * c - z * b, z * a - x * c, x * b - y * a)
+def pair_torque(pulse: Sequence[Tensor]) -> Vec3:
+    """Return the torque, N m in B, of the pairs that fire (``pulse`` is 1 or 0 for each): ``L = sum 2 F (r x d)``.
 
-
-@dataclass(frozen=True)
-class ThrusterPairs:
-    """Pairs of thrusters of one kind."""
-
-    positions: tuple[Triple, ...]  # position of one thruster of each pair, m in B; the other one sits opposite
-    directions: tuple[Triple, ...]  # directions of their forces in B, of length one; those of the others are opposite
-    thrust: float  # thrust of each thruster, N
-
-    @cached_property
-    def arms(self) -> tuple[Triple, ...]:
-        """Torque per newton, m, of one thruster of each pair."""
-        return tuple(_arm(p, d) for p, d in zip(self.positions, self.directions, strict=True))
-
-    def torque(self, pulse: Sequence[Tensor]) -> Vec3:
-        """Return the torque, N m in B, of the pairs that fire (``pulse`` is 1 or 0 for each): ``L = sum 2 F (r x d)``.
-
-        F is the thrust, N, of each of the two thrusters of a pair, r and d are position, m, and force direction of one of them.
-        """
-        axes = zip(*self.arms, strict=True)
-        terms = ([on * (2.0 * self.thrust * arm) for on, arm in zip(pulse, axis, strict=True)] for axis in axes)
-        return Vec3(*(functools.reduce(operator.add, parts) for parts in terms))
-
-
-EIGHT_THRUSTERS = ThrusterPairs(POSITIONS, DIRECTIONS, THRUST)  # the eight default thrusters
+    F is the thrust, N, of each of the two thrusters of a pair, r and d are position, m, and force direction of one of them.
+    """
+    terms = ([on * (2.0 * THRUST * arm) for on, arm in zip(pulse, axis, strict=True)] for axis in zip(*ARMS, strict=True))
+    return Vec3(*(functools.reduce(operator.add, parts) for parts in terms))
 
 
 def latch_pulses(bus: Bus) -> None:
@@ -144,13 +121,6 @@ ARGS = (
 """Arguments of thrusters; the last three replace the numbers of ``thrusters``."""
 
 
-class ThrusterForm(NamedTuple):
-    """What decides the operations of a tick with thrusters."""
-
-    size: int
-    pushes: bool  # whether they may exert a net force
-
-
 def described_thrusters(arguments: UserArguments) -> tuple[Thruster, ...] | None:
     """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed."""
     if arguments["thrusters"] is None and may_change(arguments, *(arg.name for arg in ARGS[1:])):
@@ -159,12 +129,12 @@ def described_thrusters(arguments: UserArguments) -> tuple[Thruster, ...] | None
     return described(arguments, "thrusters", ARGS[1:], Thruster, what)
 
 
-def thruster_form(arguments: UserArguments, listed: Sequence[Thruster]) -> ThrusterForm:
-    """Return what decides the operations: opposite thrusters of equal thrust about the center of mass never push."""
+def may_push(arguments: UserArguments, listed: Sequence[Thruster]) -> bool:
+    """Return whether thrusters may exert a net force: opposite ones of equal thrust about the center of mass never do."""
     drawn = any(arguments[arg.name] is not None for arg in ARGS[1:])
     place = given_numbers(arguments["r_CB_B"])
     centered = place is not None and not bool(place.any())
-    return ThrusterForm(len(listed), drawn or not centered or not _opposite(listed))
+    return drawn or not centered or not _opposite(listed)
 
 
 def _opposite(listed: Sequence[Thruster]) -> bool:
@@ -196,36 +166,33 @@ def _fired(pulses: Sequence[Tensor], vectors: Sequence[Vec3]) -> Vec3:
 
 
 @functools.cache
-def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
-    """Return the component of thrusters of a form; ``listed`` are the defaults of its arguments."""
+def thruster_set(pushes: bool, listed: tuple[Thruster, ...]) -> Component:
+    """Return the component of thrusters, which may push the orbit; ``listed`` are the defaults of its arguments."""
+    count = len(listed)
     defaults = {
         "thrusterPositions_B": tuple(part.position for part in listed),
         "thrusterDirections_B": tuple(part.direction for part in listed),
         "thrusterMaxThrust": tuple(part.thrust for part in listed),
     }
 
-    def of_set(arg: Arg) -> Arg:
-        one = (arg.shape or ())[1:]
-        return replace(arg, default=defaults[arg.name], shape=(form.size, *one), spread=not one)
-
     def prepare(args: Values) -> dict[str, Tensor]:
         forces, torques = forces_and_arms(args)
         parameters = {"thruster_torques_B": torques.flatten(-2)}
-        return parameters | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
+        return parameters | ({"thruster_forces_B": forces.flatten(-2)} if pushes else {})
 
     def torque(bus: Bus) -> Vec3:
         return _fired(bus.pulse, bus.thruster_torques_B)
 
-    vectors = ("thruster_torques_B", *(("thruster_forces_B",) if form.pushes else ()))
+    vectors = ("thruster_torques_B", *(("thruster_forces_B",) if pushes else ()))
     fires = (
         Effector(thrust=lambda bus, stage: (_fired(bus.pulse, bus.thruster_forces_B), torque(bus)) if stage == 0 else None)
-        if form.pushes
+        if pushes
         else Effector(torque=lambda bus, stage: torque(bus) if stage == 0 else None)
     )
     return replace(
-        thrusters(form.size, fires),
-        args=(ARGS[0], *(of_set(arg) for arg in ARGS[1:])),
-        params=tuple(Field(name, 3 * form.size, vectors=True) for name in vectors),
+        thrusters(count, fires),
+        args=(ARGS[0], *(of_each(arg, count, defaults[arg.name]) for arg in ARGS[1:])),
+        params=tuple(Field(name, 3 * count, vectors=True) for name in vectors),
         prepare=prepare,
         check=check_axis("thrusterDirections_B"),
     )
@@ -234,7 +201,7 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
 def fitted_thrusters(arguments: UserArguments) -> Component:
     """Return the component of the thrusters that the arguments as given describe."""
     listed = described_thrusters(arguments)
-    return THRUSTERS if listed is None else thruster_set(thruster_form(arguments, listed), listed)
+    return THRUSTERS if listed is None else thruster_set(may_push(arguments, listed), listed)
 
 
 def thrusters(count: int, effector: Effector) -> Component:
@@ -252,8 +219,5 @@ def thrusters(count: int, effector: Effector) -> Component:
     )
 
 
-THRUSTERS = thrusters(
-    len(EIGHT_THRUSTERS.positions),
-    Effector(torque=lambda bus, stage: EIGHT_THRUSTERS.torque(bus.pulse) if stage == 0 else None),
-)
+THRUSTERS = thrusters(len(ARMS), Effector(torque=lambda bus, stage: pair_torque(bus.pulse) if stage == 0 else None))
 """The eight default thrusters, unless the arguments describe others."""

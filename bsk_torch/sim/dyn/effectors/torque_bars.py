@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from bsk_torch._checks import number, parts, vector
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
-from bsk_torch.sim.dyn.axes import check_axis, unit_rows
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments
+from bsk_torch.sim.dyn.axes import check_axis, of_each, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
 MOST_BARS = 36  # length of the arrays in Basilisk's messages
@@ -59,11 +58,6 @@ def described_bars(arguments: UserArguments) -> tuple[TorqueBar, ...]:
     return listed
 
 
-def unit_bars(args: Values) -> Tensor:
-    """Return the directions of the dipoles, [n or 1, T, 3], of length one."""
-    return unit_rows(args["barAxes_B"])
-
-
 def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
     """Return the torque, N m in B, ``L = (sum_i g_i m_i) x [BN] B_N``, of the dipoles m_i, A m^2, about the axes g_i.
 
@@ -80,15 +74,18 @@ def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
 def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
     """Return the component of torque bars; ``listed`` are the defaults of its arguments."""
     count = len(listed)
-    axes = replace(ARGS[1], default=tuple(bar.axis for bar in listed), shape=(count, 3))
-    dipoles = replace(ARGS[2], default=tuple(bar.maxDipole for bar in listed), shape=(count,), spread=True)
+    axes = of_each(ARGS[1], count, tuple(bar.axis for bar in listed))
+    dipoles = of_each(ARGS[2], count, tuple(bar.maxDipole for bar in listed))
     return Component(
         slot="torque_bars",
         after="disturbance",
         args=(ARGS[0], axes, dipoles),
         state=(Field("bar_command", count, "A m^2", "dipoles of the bars, of the flight software or a user", many=True),),
         params=(Field("bar_axes_B", 3 * count, vectors=True), Field("bar_max_dipole", count, "A m^2", many=True)),
-        prepare=lambda args: {"bar_axes_B": unit_bars(args).flatten(-2), "bar_max_dipole": args["barMaxDipoles"]},
+        prepare=lambda args: {
+            "bar_axes_B": unit_rows(args["barAxes_B"]).flatten(-2),
+            "bar_max_dipole": args["barMaxDipoles"],
+        },
         check=check_axis("barAxes_B"),
         effector=Effector(ambient=magnetic_torque),
     )

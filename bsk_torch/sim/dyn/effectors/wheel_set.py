@@ -6,8 +6,8 @@ wheels have, friction for example, is fixed when the tick is built, by :class:`W
 
 from __future__ import annotations
 
-import dataclasses
 import functools
+import math
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -19,8 +19,7 @@ from bsk_torch._checks import parts
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
-from bsk_torch.sim.dyn.axes import check_axis, unit_rows
-from bsk_torch.sim.dyn.effectors.friction import friction_torques
+from bsk_torch.sim.dyn.axes import check_axis, of_each, unit_rows
 from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD, Wheel
 from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body, given_numbers, inertia_tensor
 from bsk_torch.sim.faults.declared import may_change
@@ -51,14 +50,7 @@ ARGS = (
     WHEELS_ARG,
     *NUMBERS,
     Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", "vector", -1e6, 1e6),
-    Arg(
-        "maxWheelSpeed",
-        float("inf"),
-        "rpm",
-        "a spacecraft with a wheel at or above this speed dies",
-        low=1e-6,
-        flown=(-1e9, float("inf")),
-    ),
+    Arg("maxWheelSpeed", math.inf, "rpm", "spacecraft with a wheel at or above this speed die", low=1e-6, flown=(-1e9, math.inf)),
     Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive", endless=True),
 )
 """Arguments of the three default wheels, and those that describe others."""
@@ -218,17 +210,12 @@ def latch(form: WheelForm) -> Callable[[Bus], None]:
     return latch_motor_torques
 
 
-def unit_axes(args: Values) -> Tensor:
-    """Return the axes of the wheels, [n or 1, N, 3], of length one."""
-    return unit_rows(args["rwAxes_B"])
-
-
 def free_tensor_moments(args: Values) -> Tensor:
     """Return the principal moments [n or 1, 3], kg m^2, of ``I - sum_i J_i g_i g_i^T``, in ascending order.
 
     This is the inertia of the body without the spin of its wheels, of inertia J_i about axes g_i.
     """
-    axes = unit_axes(args)
+    axes = unit_rows(args["rwAxes_B"])
     return torch.linalg.eigvalsh(inertia_tensor(args) - (axes.mT * args["rwJs"].unsqueeze(-2)) @ axes)
 
 
@@ -266,7 +253,7 @@ def parameters_of(form: WheelForm) -> tuple[str, ...]:
 
 def _prepare(form: WheelForm, args: Values) -> dict[str, Tensor]:
     parameters = {name: args[PARAMETERS[name][0]] * PARAMETERS[name][1] for name in parameters_of(form)}
-    return parameters | {"wheel_axes_B": unit_axes(args).flatten(-2)}
+    return parameters | {"wheel_axes_B": unit_rows(args["rwAxes_B"]).flatten(-2)}
 
 
 def _check(form: WheelForm, args: Values) -> None:
@@ -307,7 +294,7 @@ def check_inertia(args: Values) -> None:
 def _check_tick(args: Values, h: float) -> None:
     """Check that ticks of h s resolve initial rates of body and wheels, and what the motors can do in one."""
     moments = free_tensor_moments(args)
-    spin = (unit_axes(args) * (args["rwJs"] * args["wheelSpeeds"] * RPM).unsqueeze(-1)).sum(-2)
+    spin = (unit_rows(args["rwAxes_B"]) * (args["rwJs"] * args["wheelSpeeds"] * RPM).unsqueeze(-1)).sum(-2)
     check_turn(args, body_momentum(args) + spin, moments, h, "wheelSpeeds and omega_init turn")
     strongest = torch.where(torch.isinf(args["u_max"]), torch.zeros_like(args["u_max"]), args["u_max"]).amax(-1, keepdim=True)
     kick = torch.cat([strongest.clamp(min=0.0) * h, torch.zeros_like(strongest).expand(-1, 2)], -1)
@@ -324,11 +311,6 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     if not count:
         return Component(slot="wheels", args=ARGS)
     defaults = wheel_defaults(wheels) | {"wheelSpeeds": Uniform(-1500.0, 1500.0, count)}
-
-    def of_set(arg: Arg) -> Arg:
-        one = arg.dims[1:] if arg.shape else ()
-        return dataclasses.replace(arg, kind="scalar", default=defaults[arg.name], shape=(count, *one), spread=not one)
-
     state = [Field("Omega_WB_B", count, "rad/s", "wheel speeds", many=True)]
     state += [Field(name, count, "N m", many=True) for name in ("motor_torque_B", "motor_torque_command_B")]
     if form.stribeck:
@@ -337,7 +319,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     return Component(
         slot="wheels",
         update=latch(form),
-        args=tuple(of_set(arg) if arg.name in defaults else arg for arg in ARGS),
+        args=tuple(of_each(arg, count, defaults[arg.name]) if arg.name in defaults else arg for arg in ARGS),
         state=tuple(state),
         params=(*(Field(name, count, many=True) for name in parameters_of(form)), Field("wheel_axes_B", 3 * count, vectors=True)),
         reads=MOTION,
@@ -347,3 +329,49 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
         check_tick=_check_tick,
         effector=wheel_effector(form),
     )
+
+
+# -- friction ------------------------------------------------------------------------------------------------------------------
+
+
+LINEAR_BELOW = 1e-4  # speed, rad/s, below which friction is proportional to the speed (Basilisk's `omegaLimitCycle`)
+
+
+def _stribeck(x: Tensor | float, coulomb: Tensor, static: Tensor, beta: Tensor) -> Tensor:
+    """Return the Stribeck friction, N m, without its viscous part, at the speed x, rad/s.
+
+    ``sqrt(2 e) (F_s - F_c) exp(-(x / b)^2 / 2) x / (b sqrt 2) + F_c tanh(10 x / b)`` (Armstrong-Helouvry, Dupont and Canudas de
+    Wit, "A survey of models, analysis tools and compensation methods for the control of machines with friction", Automatica
+    30(7), 1994).
+    """
+    ratio = x * (1.0 / beta)
+    return (static - coulomb) * math.sqrt(math.e) * torch.exp(-0.5 * ratio * ratio) * ratio + coulomb * torch.tanh(10.0 * ratio)
+
+
+def friction_torques(bus: Bus, speeds: Sequence[Tensor], stribeck: bool) -> Planes:
+    """Return the friction torques on the wheels, N m, negative where they brake a positive speed, in a stage of the hub's step.
+
+    Of a speed Omega, ``f = -(sign(Omega) F_c + c Omega)``, below :data:`LINEAR_BELOW` a straight line through zero. A wheel that
+    has been at rest, and speeds up from there, has Stribeck friction instead, until it slows down: the flag ``wheel_started`` on
+    the bus, which lasts over stages and ticks, with the speed ``wheel_speed_before`` of the last tick.
+    """
+    torques, flags = [], []
+    for k, speed in enumerate(speeds):
+        coulomb, viscous = bus.wheel_coulomb[k], bus.wheel_viscous[k]
+        force = torch.sign(speed) * coulomb + viscous * speed
+        at_limit = coulomb + viscous * LINEAR_BELOW
+        if stribeck:
+            beta, static = bus.wheel_stribeck[k], bus.wheel_static[k]
+            turned = torch.sign(speed) * torch.sign(speed - bus.wheel_speed_before[k]) < 0.0
+            started = (bus.wheel_started[k] > 0.5) | (torch.abs(speed) < 0.1 * LINEAR_BELOW)
+            started = started & ~turned & (beta > 0.0)
+            beta = torch.where(beta > 0.0, beta, torch.ones_like(beta))
+            force = torch.where(started, _stribeck(speed, coulomb, static, beta) + viscous * speed, force)
+            limit = _stribeck(LINEAR_BELOW, coulomb, static, beta) + viscous * LINEAR_BELOW
+            at_limit = torch.where(started, limit, at_limit)
+            flags.append(torch.where(started, torch.ones_like(speed), torch.zeros_like(speed)))
+        slow = torch.abs(speed) < LINEAR_BELOW
+        torques.append(-torch.where(slow, at_limit * (1.0 / LINEAR_BELOW) * speed, force))
+    if stribeck:
+        bus.wheel_started = tuple(flags)
+    return tuple(torques)

@@ -163,15 +163,7 @@ POWER_ARGS = (
         high=1.0,
         flown=(-1e6, 1e6),
     ),
-    Arg(
-        "rwElecToMechEfficiency",
-        0.5,
-        "-",
-        "share of electrical power that accelerates a wheel",
-        low=1e-9,
-        high=1.0,
-        flown=(1e-9, 1e6),
-    ),
+    Arg("rwElecToMechEfficiency", 0.5, "-", "share of power that accelerates a wheel", low=1e-9, high=1.0, flown=(1e-9, 1e6)),
 )
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from bsk_torch._checks import number, vector
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
-from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, described, of_each, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
 SUN_PRESSURE = 1368.0 / 299792458.0 * 149597870700.0**2
@@ -112,9 +112,7 @@ def described_facets(arguments: UserArguments) -> tuple[Facet, ...] | None:
 
 
 def _of_facets(arg: Arg, listed: Sequence[Facet]) -> Arg:
-    default = tuple(getattr(facet, ATTRIBUTES[arg.name]) for facet in listed)
-    one = (arg.shape or (None,))[1:]
-    return replace(arg, default=default, shape=(len(listed), *one), spread=not one)
+    return of_each(arg, len(listed), tuple(getattr(facet, ATTRIBUTES[arg.name]) for facet in listed))
 
 
 def _shape(args: Values) -> dict[str, Tensor]:

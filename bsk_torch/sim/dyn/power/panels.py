@@ -18,7 +18,7 @@ from bsk_torch._checks import number, vector
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
-from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, described, unit_rows
+from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, described, of_each, unit_rows
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.vec3 import Vec3
 
@@ -127,9 +127,8 @@ def of_panels(arg: Arg, listed: Sequence[Panel]) -> Arg:
         "panelRates": tuple(float(part.rate or 0.0) for part in listed),
         "panelAngles": tuple(float(part.angle) for part in listed),
     }
-    one = (arg.shape or (None,))[1:]
-    spread = not one and (turns or arg.name in ("panelArea", "panelEfficiency"))
-    return replace(arg, default=defaults[arg.name], shape=(len(listed), *one), spread=spread)
+    each = of_each(arg, len(listed), defaults[arg.name])
+    return each if turns or arg.name in ("panelArea", "panelEfficiency") else replace(each, spread=False)
 
 
 STARTS, ASCENTS = 256, 200

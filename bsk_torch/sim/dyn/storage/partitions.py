@@ -169,18 +169,18 @@ def store(bus: Bus) -> None:
 
 def transmitter(partitions: int) -> Component:
     """Return the transmitter of a store with this many partitions."""
-    names = ("packet", "transmitter_time", *(("packet_partition",) if partitions > 1 else ()))
-    fields = {
-        "packet": Field("packet", 1, "bit", "sent of the packet under way, negative", exact=True),
-        "transmitter_time": Field("transmitter_time", 1, "s", "when the transmitter last ran", exact=True),
-        "packet_partition": Field("packet_partition", 1, "-", "partition that the packet comes from", exact=True),
-    }
+    state = [
+        Field("packet", 1, "bit", "sent of the packet under way, negative", exact=True),
+        Field("transmitter_time", 1, "s", "when the transmitter last ran", exact=True),
+    ]
+    if partitions > 1:
+        state.append(Field("packet_partition", 1, "-", "partition that the packet comes from", exact=True))
     rate, *others = storage.TRANSMITTER.args
     return dataclasses.replace(
         storage.TRANSMITTER,
         update=transmit,
         args=(dataclasses.replace(rate, flown=None), *others),  # what a positive rate does to partitions is not that of Basilisk
-        state=tuple(fields[name] for name in names),
+        state=tuple(state),
         fit=lambda arguments: transmitter(len(partition_names(arguments))),
     )
 
