@@ -144,7 +144,7 @@ class Satellite:
             dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
                 have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
-            observation_spec: Observations in place of those of the class.
+            observation_spec: Observations in place of those of the class; satellites of one type share the list.
             action_spec: Actions, likewise.
         """
         if fault := name_fault(text("name", name)):
