@@ -68,8 +68,7 @@ from bsk_torch.tasks.objects.dyn import SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import SpaceToSpaceImagingFSWModel
 from bsk_torch.tasks.objects.mixture import RSOMixture
 from bsk_torch.tasks.objects.obs import DEFAULT, EXPECTED_RATE, RSOTargetProperties
-from bsk_torch.tasks.objects.order import by_priority_per_second, by_priority_per_second_ahead
-from bsk_torch.tasks.objects.outlook import expected_rate
+from bsk_torch.tasks.objects.outlook import by_priority_per_second, by_priority_per_second_ahead, expected_rate
 from bsk_torch.tasks.objects.reward import RSOImageReward
 from bsk_torch.tasks.objects.scene import Order, RSOTargets
 from bsk_torch.vec3 import Vec3
