@@ -27,11 +27,11 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch import obs, rand, scene
+from bsk_torch import rand, scene
 from bsk_torch.data import CloudFreeImageReward, ImageReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import PRESETS
-from bsk_torch.presets.aeos import CLOUDS, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
+from bsk_torch.presets.aeos import CLOUDS, ORBIT, AgileSatellite, agile_args, agile_environment, imagers, looking_ahead
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.rules.imaging import ImagingRule, Worth, by_discounted_priority, ranking_rule
@@ -197,13 +197,6 @@ RULE, CHANCE, REPEATING = "hasty", "hasty by chance", "hasty by chance, repeats"
 """The rule ``hasty``, which sees no clouds; with the chance of a clear image in the worth of targets; and of the first such."""
 
 
-def satellite_seeing(world: str, view: str, as_set: bool) -> type[AgileSatellite]:
-    """Return the class of a satellite with a view of the clouds."""
-    seen = [COMING if world == MOVING and part is CLOUDS else part for part in VIEWS[view]]
-    parts: list[obs.Observation] = [obs.SatProperties(*SATELLITE), targets_ahead(*seen, as_set=as_set), obs.Time()]
-    return type("CloudWatcher", (AgileSatellite,), {"observation_spec": parts})
-
-
 def preset_of(world: str, view: str) -> Callable[..., SatelliteTasking]:
     """Return a function like a preset, of CloudyAEOS-v1 with other clouds and another view."""
 
@@ -213,8 +206,10 @@ def preset_of(world: str, view: str) -> Callable[..., SatelliteTasking]:
         if world == MOVING:
             clouds = MovingClouds(targets, bounds, options.get("time_limit", 3 * ORBIT))
         rewarder = BeliefReward() if view == REPEATS else CloudFreeImageReward(THRESHOLD)
-        kinds = satellite_seeing(world, view, False), satellite_seeing(world, view, True)
-        return agile_environment(kinds, agile_args(), as_set, dict(scenario=clouds, rewarder=rewarder) | options)
+        seen = [COMING if world == MOVING and part is CLOUDS else part for part in VIEWS[view]]
+        options = dict(scenario=clouds, rewarder=rewarder) | options
+        (satellite,) = imagers(AgileSatellite, ["EO1"], agile_args(), options, **looking_ahead(*seen, as_set=as_set))
+        return agile_environment(satellite, options)
 
     return make
 

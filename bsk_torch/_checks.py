@@ -130,13 +130,22 @@ def parts(title: str, value: object, kind: type[Value], what: str, empty: bool =
     raise ValueError(f"{title}={value!r} must be {what}")
 
 
-def vector(title: str, value: Sequence[float], zero: bool = False) -> tuple[float, float, float]:
-    """Return three numbers of the user as a tuple; ValueError for anything else, and for only zeros unless ``zero``."""
-    numbers = tuple(map(float, value))
-    length = math.hypot(*numbers)
-    if len(numbers) != 3 or not math.isfinite(length) or (length == 0.0 and not zero):
-        raise ValueError(f"{title}={value!r} must be three numbers{'' if zero else ', not all zero, such as [0, 0, 1]'}")
-    return numbers
+def vector(title: str, value: object, zero: bool = False, longest: float = math.inf) -> tuple[float, float, float]:
+    """Return three finite numbers of the user as a tuple; ValueError for anything else, and for only zeros unless ``zero``.
+
+    ``longest`` is the greatest length that is allowed.
+    """
+    no_gradient(title, value)
+    try:
+        x, y, z = np.asarray(value.cpu() if isinstance(value, Tensor) else value, dtype=float).tolist()
+        length = math.hypot(x, y, z)
+    except (TypeError, ValueError, OverflowError):
+        length = math.nan
+    if not math.isfinite(length) or length > longest or (length == 0.0 and not zero):
+        kind = "all finite" if zero else "finite and not all zero, such as [0, 0, 1]"
+        limit = "" if math.isinf(longest) else f", of a length of at most {longest:g}"
+        raise ValueError(f"{title}={value!r} must be three numbers, {kind}{limit}")
+    return x, y, z
 
 
 def function(title: str, value: object, what: str) -> Callable[..., Any]:

@@ -32,21 +32,13 @@ WEIGHT = 1e4
 
 
 class Options(NamedTuple):
-    """Available transfers of N satellites.
+    """Available transfers of N satellites."""
 
-    Attributes:
-        versions: Versions of the states used.
-        inputs: Numbers used, by row, [N, F].
-        ahead: All transfers.
-        legal: Whether each transfer is legal, [N, n_actions].
-        stuck: Whether no transfer keeps the distances, [N].
-    """
-
-    versions: list[int]
-    inputs: Tensor
+    versions: list[int]  # versions of the states used
+    inputs: Tensor  # numbers used, by row, [N, F]
     ahead: Transfers
-    legal: Tensor
-    stuck: Tensor
+    legal: Tensor  # whether each transfer is legal, [N, n_actions]
+    stuck: Tensor  # whether no transfer keeps the distances, [N]
 
 
 class HillWaypoint(Action):

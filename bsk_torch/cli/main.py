@@ -91,7 +91,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "Check a solution of a case of aeossp_standard by the benchmark's rules; the exit status is 1 for an invalid one.",
         ),
         "aeossp fly": (
-            "bsk_torch.tasks.aeossp.fly_command:fly_solution",
+            "bsk_torch.tasks.aeossp.commands:fly_solution",
             "Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.",
         ),
         "import-aeosbench": (

@@ -125,13 +125,11 @@ class ComposedReward(GlobalReward):
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`; names used by several parts are numbered."""
-        pairs = [pair for part in self.checked for pair in part.counts().items()]
-        return dict(zip(_numbered(name for name, _ in pairs), (count for _, count in pairs), strict=True))
+        return _joined(part.counts() for part in self.checked)
 
     def measures(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.measures`; names used by several parts are numbered."""
-        pairs = [pair for part in self.checked for pair in part.measures().items()]
-        return dict(zip(_numbered(name for name, _ in pairs), (value for _, value in pairs), strict=True))
+        return _joined(part.measures() for part in self.checked)
 
     @override
     def is_terminated(self) -> Tensor:
@@ -151,6 +149,11 @@ def _numbered(names: Iterable[str]) -> list[str]:
             unique = f"{name}_{number}"
         unique_names.append(unique)
     return unique_names
+
+
+def _joined(tables: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
+    pairs = [pair for table in tables for pair in table.items()]
+    return dict(zip(_numbered(name for name, _ in pairs), (value for _, value in pairs), strict=True))
 
 
 TOTAL = "cum_reward"

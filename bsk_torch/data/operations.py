@@ -92,10 +92,6 @@ def _has(satellite: BoundSatellite, read: Callable[[BoundSatellite], Tensor]) ->
     return True
 
 
-MOST_PENALTY = 1e30
-"""Bound of the weight, so that a sum of several rewards stays finite in float32."""
-
-
 class TimePenalty(GlobalReward):
     """Pays every satellite ``-weight`` times the duration of the step, s, as a branch of BSK-RL's authors does.
 

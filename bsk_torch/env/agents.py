@@ -22,23 +22,14 @@ ROOT = (
 
 @dataclass(frozen=True)
 class Group:
-    """A agents with equal spaces: each commands M satellites, the m-th of which is of type ``types[m]``.
+    """A agents with equal spaces: each commands M satellites, the m-th of which is of type ``types[m]``."""
 
-    Attributes:
-        name: Key of the group.
-        agents: Names of the agents.
-        members: Indices of their satellites among all, [A, M].
-        types: Type of each of the M members.
-        within: Indices of the members within their types, M tensors [A].
-        whole: For each of the M members, whether they are all satellites of their type, in order.
-    """
-
-    name: str
-    agents: tuple[str, ...]
-    members: Tensor
-    types: tuple[int, ...]
-    within: tuple[Tensor, ...]
-    whole: tuple[bool, ...]
+    name: str  # key of the group
+    agents: tuple[str, ...]  # names of the agents
+    members: Tensor  # indices of their satellites among all, [A, M]
+    types: tuple[int, ...]  # type of each of the M members
+    within: tuple[Tensor, ...]  # indices of the members within their types, M tensors [A]
+    whole: tuple[bool, ...]  # for each of the M members, whether they are all satellites of their type, in order
 
     def to(self, device: torch.device) -> Group:
         """Return the group with its tensors on a device."""

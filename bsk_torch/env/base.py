@@ -45,21 +45,13 @@ logger = logging.getLogger(__name__)
 
 
 class StepResult(NamedTuple):
-    """Outcome of a step of N episodes with S satellites each.
+    """Outcome of a step of N episodes with S satellites each."""
 
-    Attributes:
-        duration: Length of the step, [N] s.
-        reward: Rewards of the satellites, including failure penalties, [N, S]; zero for episodes without a step.
-        terminated: Episodes that have ended, [N].
-        truncated: Truncated episodes, [N].
-        removed: Satellites absent or removed before the step, [N, S].
-    """
-
-    duration: Tensor
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    removed: Tensor
+    duration: Tensor  # length of the step, [N] s
+    reward: Tensor  # rewards of the satellites, including failure penalties, [N, S]; zero for episodes without a step
+    terminated: Tensor  # episodes that have ended, [N]
+    truncated: Tensor  # truncated episodes, [N]
+    removed: Tensor  # satellites absent or removed before the step, [N, S]
 
 
 class Tasking(Present, MadeOfArguments):

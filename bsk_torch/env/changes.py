@@ -19,19 +19,12 @@ WORLD = None
 
 
 class Change(NamedTuple):
-    """A new value of one argument.
+    """A new value of one argument."""
 
-    Attributes:
-        satellite: Index of the satellite; None for the world.
-        name: Name of the argument.
-        value: The value, as given in ``sat_args`` or ``world_args``.
-        envs: Indices of the changed episodes in the draws; None for all.
-    """
-
-    satellite: int | None
-    name: str
-    value: object
-    envs: tuple[int, ...] | None
+    satellite: int | None  # index of the satellite; None for the world
+    name: str  # name of the argument
+    value: object  # the value, as given in sat_args or world_args
+    envs: tuple[int, ...] | None  # indices of the changed episodes in the draws; None for all
 
 
 def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None) -> list[Change]:

@@ -118,7 +118,6 @@ class ConstellationTasking(Tasking):
         observed, acted, paid = (Composite(shape=self.batch_size) for _ in range(3))
         for group in self.groups:
             shape = (*self.batch_size, *self._agents_shape(group))
-            where = () if self.joint else (group.name,)
             for spec, parts in (
                 (observed, self._observed(group, trial, shape)),
                 (acted, {"action": self._acted(group, shape)}),
@@ -127,7 +126,7 @@ class ConstellationTasking(Tasking):
                 target = spec if self.joint else Composite(shape=shape)
                 for name, leaf in parts.items():
                     target[name] = leaf
-                if where:
+                if not self.joint:
                     spec[group.name] = target
         n = self.fleet.size
         observed["duration"] = Unbounded((*self.batch_size, 1), dtype=self.dtype)

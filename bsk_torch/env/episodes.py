@@ -32,21 +32,13 @@ DRAWN_BYTES = 1 << 25
 
 
 class EpisodeState(FleetState):
-    """State of N episodes in an environment.
+    """State of N episodes in an environment."""
 
-    Attributes:
-        episode: Number of the episode, -1 before the first, [N].
-        seed: Seed of its draws, [N].
-        limit_ticks: Tick at which it is truncated, [N].
-        returns: Sum of the rewards of all satellites so far, [N].
-        begun: Episodes that can be stepped: False before the first reset and after an interrupted call, [N].
-    """
-
-    episode: Tensor
-    seed: Tensor
-    limit_ticks: Tensor
-    returns: Tensor
-    begun: Tensor
+    episode: Tensor  # number of the episode, -1 before the first, [N]
+    seed: Tensor  # seed of its draws, [N]
+    limit_ticks: Tensor  # tick at which it is truncated, [N]
+    returns: Tensor  # sum of the rewards of all satellites so far, [N]
+    begun: Tensor  # episodes that can be stepped: False before the first reset and after an interrupted call, [N]
 
 
 class EpisodePool:
@@ -111,33 +103,19 @@ class EpisodePool:
 
 
 class Episodes(EnvBase):
-    """Part of an environment: N episodes, their seeds, and how they begin.
+    """Part of an environment: N episodes, their seeds, and how they begin."""
 
-    Attributes:
-        builder: Creates fleets and draws episodes.
-        fleet: The satellites of the current episodes.
-        satellites: The satellites of each type.
-        pool: The next episodes, prepared in bulk; None where user functions draw them.
-        names: Name of every satellite.
-        env_ids: Index of each episode in the draws, [N].
-        scenario: Task of the satellites.
-        rewarder: Value of their data.
-        checked: Its hooks, with checks of their results.
-        guard: Tracks which episodes can be stepped.
-        log: Log of satellite events, if enabled.
-    """
-
-    builder: FleetBuilder
-    fleet: SatelliteFleet
-    satellites: tuple[SatelliteGroup, ...]
-    pool: EpisodePool | None
-    names: list[str]
-    env_ids: Tensor
-    scenario: Scenario
-    rewarder: GlobalReward
-    checked: CheckedRewarder
-    guard: EpisodeGuard
-    log: StepLog | None
+    builder: FleetBuilder  # creates fleets and draws episodes
+    fleet: SatelliteFleet  # the satellites of the current episodes
+    satellites: tuple[SatelliteGroup, ...]  # the satellites of each type
+    pool: EpisodePool | None  # the next episodes, prepared in bulk; None where user functions draw them
+    names: list[str]  # name of every satellite
+    env_ids: Tensor  # index of each episode in the draws, [N]
+    scenario: Scenario  # task of the satellites
+    rewarder: GlobalReward  # value of their data
+    checked: CheckedRewarder  # its hooks, with checks of their results
+    guard: EpisodeGuard  # tracks which episodes can be stepped
+    log: StepLog | None  # log of satellite events, if enabled
 
     def _declare_state(self, env_ids: Sequence[int] | Tensor | None) -> None:
         self.env_ids = self.fleet.env_ids = read_env_ids(env_ids, self.num_envs).to(self.device)

@@ -1,31 +1,5 @@
 """Named, versioned environments; each module documents its decision process, and ``bsk-torch list`` prints names and tasks.
 
-name                       module                      task
-=========================  ==========================  ========================================================================
-``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and data buffer
-``NadirScience-v1``        ``presets.nadir_science``   the same with a strong disturbance: BSK-RL's ``nadir_science``
-``FaultyScan-v1``          ``presets.faulty_scan``     NadirScan-v1 while parts of the satellite fail at random times
-``Areas-v1``               ``tasks.areas``             record areas cell by cell, with a store that fills whatever lies below
-``AEOS-v1``                ``presets.aeos``            choose which of the next 32 targets to image
-``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
-``CloudyAEOS-v1``          ``presets.aeos``            the same under clouds, observed only as a forecast
-``AEOSPower-v1``           ``presets.aeos_power``      the same, with a small battery and data buffer, and weak wheels
-``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share all knowledge once a minute
-``Constellation-v1``       ``presets.constellation``   12 imagers that communicate along lines of sight
-``RelayConstellation-v1``  ``presets.constellation``   four low imagers, two high relays; broadcasting is an action
-``HeteroCluster-v1``       ``presets.hetero_cluster``  two optical satellites and a radar, to which clouds do not matter
-``Sites-v1``               ``tasks.sites``             take mosaics of images that pay when complete, under weather
-``SitesTeam-v1``           ``tasks.sites``             the same with two imagers, one behind the other
-``RSOInspection-v1``       ``tasks.inspection``        fly around a spacecraft until its surface is inspected
-``MultiInspection-v1``     ``tasks.inspection``        the same with three inspectors that must not collide
-``Services-v1``            ``tasks.objects``           image satellites and debris again and again; the ground verifies the images
-``ThreeSensors-v1``        ``tasks.objects``           three imagers of objects in orbit that know different images
-``Walker4-v1``             ``tasks.objects``           four imagers that tell each other of images by radio
-``CWDocking-v1``           ``tasks.safe_autonomy``     dock with thrusters below a speed limit; linear motion
-``CWInspection-v1``        ``tasks.safe_autonomy``     inspect lit points of a spacecraft with thrusters; linear motion
-``AEOSBench-v1``           ``tasks.aeos_bench``        AEOS-Bench: point satellites at tasks on the ground, second by second
-=========================  ==========================  ========================================================================
-
 :data:`bsk_torch._listed.LISTED` is the one table of them: name, module and function, task, rules.
 """
 

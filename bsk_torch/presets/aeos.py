@@ -39,9 +39,8 @@ Random at reset: orbit (800 km, 45 degrees); number (100 to 9,999 in AEOS-v1), p
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cache
-from typing import Any, ClassVar, Literal, cast
+from collections.abc import Iterable, Sequence
+from typing import Any, ClassVar, Literal, TypeVar
 
 import torch
 from torch import Tensor
@@ -51,6 +50,8 @@ from bsk_torch._checks import switch, whole
 from bsk_torch.constants import R_EARTH
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
+
+Imager = TypeVar("Imager", bound=sats.ImagingSatellite)
 
 ORBIT = 5700.0
 """Duration of an orbit for norms and time limits, s; episodes last three orbits."""
@@ -86,15 +87,23 @@ TARGET = (
 """Observed properties of each target."""
 
 
-SUITE_TARGET = tuple(entry | dict(norm=math.pi / 2) if entry["prop"] == "target_angle" else entry for entry in TARGET)
-"""The same as in the benchmark suite, whose angles are divided by pi / 2."""
-
-
 def targets_ahead(
-    *more: dict[str, Any], as_set: bool = False, properties: Sequence[dict[str, Any]] = TARGET
+    *more: dict[str, Any], as_set: bool = False, n_ahead: int = AHEAD, benchmark: bool = False
 ) -> obs.OpportunityProperties:
-    """Return the observation of the next targets: ``properties``, and ``more`` of them."""
-    return obs.OpportunityProperties(*properties, *more, type="target", n_ahead_observe=AHEAD, as_set=as_set)
+    """Return the observation of the next targets: :data:`TARGET`, and ``more``; angles as in the suite with ``benchmark``."""
+    half = dict(norm=math.pi / 2)
+    properties = [entry | half if benchmark and entry["prop"] == "target_angle" else entry for entry in TARGET]
+    return obs.OpportunityProperties(*properties, *more, type="target", n_ahead_observe=n_ahead, as_set=as_set)
+
+
+def looking_ahead(*more: dict[str, Any], as_set: bool, n_ahead: int = AHEAD, benchmark: bool = False) -> dict[str, Any]:
+    """Return the settings of a satellite that chooses among the next ``n_ahead`` targets; see :func:`targets_ahead`."""
+    targets = targets_ahead(*more, as_set=as_set, n_ahead=whole("n_ahead", n_ahead, 1), benchmark=switch("benchmark", benchmark))
+    return dict(
+        obs_type=dict if as_set else torch.Tensor,
+        observation_spec=(obs.SatProperties(*SATELLITE), targets, obs.Time()),
+        action_spec=(act.Image(n_ahead_image=n_ahead, mask_late=False),),
+    )
 
 
 class AgileSatellite(sats.ImagingSatellite):
@@ -104,64 +113,6 @@ class AgileSatellite(sats.ImagingSatellite):
     action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=AHEAD, mask_late=False),)
     dyn_type = dyn.ImagingDynModel
     fsw_type = fsw.SteeringImagerFSWModel
-
-
-class AgileSetSatellite(AgileSatellite):
-    """The same, with targets as a set, for permutation-invariant policies."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(as_set=True), obs.Time())
-
-
-class SuiteSatellite(AgileSatellite):
-    """The satellite of the benchmark suite."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(properties=SUITE_TARGET), obs.Time())
-
-
-class SuiteSetSatellite(AgileSatellite):
-    """The same, with targets as a set."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(as_set=True, properties=SUITE_TARGET), obs.Time())
-
-
-def agile_satellites(benchmark: bool) -> tuple[type[AgileSatellite], type[AgileSatellite]]:
-    """Return the satellite of the presets, or that of the benchmark suite, and the same with targets as a set."""
-    suite = switch("benchmark", benchmark)
-    return (SuiteSatellite, SuiteSetSatellite) if suite else (AgileSatellite, AgileSetSatellite)
-
-
-LIST = "Ahead"
-"""Part of the names of satellites that do not choose among the next 32 targets, before their number."""
-
-
-def looking_ahead(kind: type[AgileSatellite], n_ahead: int) -> type[AgileSatellite]:
-    """Return a class of this module like ``kind`` that observes the next ``n_ahead`` targets and images one of them."""
-    return kind if whole("n_ahead", n_ahead, 1) == AHEAD else _listing(kind.__name__, n_ahead)
-
-
-@cache
-def _listing(name: str, n_ahead: int) -> type[AgileSatellite]:
-    """Return the class for another number of targets than :data:`AHEAD`, by the ``name`` of that for this number."""
-    kind: type[AgileSatellite] = globals()[name]
-    body, targets, *more = kind.observation_spec
-    listed = cast(obs.OpportunityProperties, targets)
-    shorter = obs.OpportunityProperties(*listed.entries, type="target", n_ahead_observe=n_ahead, as_set=listed.as_set)
-    members = {
-        "observation_spec": (body, shorter, *more),
-        "action_spec": (act.Image(n_ahead_image=n_ahead, mask_late=False),),
-        "__doc__": kind.__doc__,
-        "__module__": __name__,
-    }
-    # pickles find the class by its qualified name, in __getattr__
-    return type(kind.__name__, (kind,), members | {"__qualname__": f"{kind.__name__}{LIST}{n_ahead}"})
-
-
-def __getattr__(name: str) -> type[AgileSatellite]:
-    kind, _, number = name.rpartition(LIST)
-    base = globals().get(kind)
-    if number.isdecimal() and isinstance(base, type) and issubclass(base, AgileSatellite):
-        return looking_ahead(base, int(number))
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def agile_args(benchmark: bool = False) -> dict[str, object]:
@@ -183,17 +134,17 @@ def agile_args(benchmark: bool = False) -> dict[str, object]:
     )
 
 
-def agile_environment(
-    satellites: tuple[type[AgileSatellite], type[AgileSatellite]],
-    arguments: dict[str, object],
-    as_set: bool,
-    options: dict[str, Any],
-    n_ahead: int = AHEAD,
-) -> SatelliteTasking:
-    """Return an environment with the first of two satellites, or with the second for ``as_set``; see :func:`aeos`."""
-    obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
-    kind = looking_ahead(satellites[as_set], n_ahead)
-    satellite = kind("EO1", arguments | options.pop("sat_args", {}), obs_type=obs_type, may_see_nothing=True)
+def imagers(
+    kind: type[Imager], names: Iterable[str], arguments: dict[str, object], options: dict[str, Any], **settings: Any
+) -> list[Imager]:
+    """Return satellites with ``settings``; ``sat_args``, ``obs_type`` and ``variable_interval`` of ``options`` move there."""
+    arguments = arguments | options.pop("sat_args", {})
+    settings |= {name: options.pop(name) for name in ("obs_type", "variable_interval") if name in options}
+    return [kind(name, arguments, may_see_nothing=True, **settings) for name in names]
+
+
+def agile_environment(satellite: AgileSatellite, options: dict[str, Any]) -> SatelliteTasking:
+    """Return the task of AEOS-v1 for a satellite; ``options`` replace those of the preset."""
     defaults: dict[str, Any] = dict(
         rewarder=data.UniqueImageReward(),
         time_limit=3 * ORBIT,
@@ -225,7 +176,9 @@ def aeos(
             ``sat_args`` of the satellite.
     """
     options = {"scenario": scene.UniformTargets(n_targets)} | options
-    return agile_environment(agile_satellites(benchmark), agile_args(benchmark), as_set, options, n_ahead)
+    settings = looking_ahead(as_set=as_set, n_ahead=n_ahead, benchmark=benchmark)
+    (satellite,) = imagers(AgileSatellite, ["EO1"], agile_args(benchmark), options, **settings)
+    return agile_environment(satellite, options)
 
 
 def aeos_city(
@@ -238,7 +191,9 @@ def aeos_city(
 ) -> SatelliteTasking:
     """Return AEOSCity-v1: targets are ``n_targets`` of the ``n_select_from`` largest cities, drawn at reset; see :func:`aeos`."""
     options = {"scenario": scene.CityTargets(n_targets, n_select_from)} | options
-    return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options, n_ahead)
+    settings = looking_ahead(as_set=as_set, n_ahead=n_ahead)
+    (satellite,) = imagers(AgileSatellite, ["EO1"], agile_args(), options, **settings)
+    return agile_environment(satellite, options)
 
 
 def cloud_forecast(satellite: sats.BoundSatellite, targets: sats.Opportunities) -> Tensor:
@@ -250,21 +205,12 @@ CLOUDS = dict(fn=cloud_forecast, name="cloud_forecast")
 """Target property observed by CloudyAEOS-v1 in addition to :data:`TARGET`."""
 
 
-class CloudySatellite(AgileSatellite):
-    """Also observes the cloud forecast."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS), obs.Time())
-
-
-class CloudySetSatellite(AgileSatellite):
-    """The same, with targets as a set."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS, as_set=True), obs.Time())
-
-
 def cloudy_aeos(
     *, n_targets: int | tuple[int, int] = 1000, n_ahead: int = AHEAD, as_set: bool = False, **options: object
 ) -> SatelliteTasking:
     """Return CloudyAEOS-v1: only images without clouds are rewarded; see :func:`aeos`."""
     clouds = dict(scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)), rewarder=data.CloudFreeImageReward())
-    return agile_environment((CloudySatellite, CloudySetSatellite), agile_args(), as_set, clouds | options, n_ahead)
+    options = clouds | options
+    settings = looking_ahead(CLOUDS, as_set=as_set, n_ahead=n_ahead)
+    (satellite,) = imagers(AgileSatellite, ["EO1"], agile_args(), options, **settings)
+    return agile_environment(satellite, options)

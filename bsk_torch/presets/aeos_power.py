@@ -39,7 +39,16 @@ from typing_extensions import override
 
 from bsk_torch import act, obs, rand, scene
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
+from bsk_torch.presets.aeos import (
+    AHEAD,
+    ORBIT,
+    SATELLITE,
+    AgileSatellite,
+    agile_args,
+    agile_environment,
+    imagers,
+    targets_ahead,
+)
 from bsk_torch.presets.nadir_scan import next_station
 from bsk_torch.sats import BoundAccessSatellite, BoundSatellite
 from bsk_torch.sim import dyn
@@ -103,17 +112,22 @@ def shield(satellite: BoundSatellite) -> Tensor:
     return act.allow_only(names, "action_charge", where=low) & act.allow_only(names, "action_desat", where=fast)
 
 
-class PowerSatellite(AgileSatellite):
-    """Images targets, charges, downlinks and desaturates; the shield limits its actions."""
-
-    observation_spec = (
+def observed(as_set: bool) -> tuple[obs.Observation, ...]:
+    """Return the observations of the satellite."""
+    return (
         obs.SatProperties(*SATELLITE, *RESOURCES),
-        targets_ahead(),
+        targets_ahead(as_set=as_set),
         TargetDensity("density"),
         next_station(),
         obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
+
+
+class PowerSatellite(AgileSatellite):
+    """Images targets, charges, downlinks and desaturates; the shield limits its actions unless ``shielded`` is False."""
+
+    observation_spec = observed(as_set=False)
     action_spec = (
         act.Charge(duration=60.0),
         act.Downlink(duration=60.0),
@@ -126,28 +140,6 @@ class PowerSatellite(AgileSatellite):
     @override
     def legal_actions(self) -> Tensor | None:
         return shield(cast(BoundSatellite, self)) if self.shielded else None
-
-
-class PowerSetSatellite(PowerSatellite):
-    """The same, with targets as a set."""
-
-    observation_spec = (
-        PowerSatellite.observation_spec[0],
-        targets_ahead(as_set=True),
-        *PowerSatellite.observation_spec[2:],
-    )
-
-
-class UnshieldedSatellite(PowerSatellite):
-    """The same as :class:`PowerSatellite`, without the shield."""
-
-    shielded = False
-
-
-class UnshieldedSetSatellite(PowerSetSatellite):
-    """The same as :class:`PowerSetSatellite`, without the shield."""
-
-    shielded = False
 
 
 def power_args() -> dict[str, object]:
@@ -177,5 +169,7 @@ def aeos_power(
     With ``shielded``, ``action_mask`` excludes actions by the rule :func:`shield`.
     """
     options = dict(scenario=scene.UniformTargets(n_targets), failure_penalty=-10.0) | options
-    satellites = (PowerSatellite, PowerSetSatellite) if shielded else (UnshieldedSatellite, UnshieldedSetSatellite)
-    return agile_environment(satellites, power_args(), as_set, options)
+    settings = dict(obs_type=dict if as_set else torch.Tensor, observation_spec=observed(as_set))
+    (satellite,) = imagers(PowerSatellite, ["EO1"], power_args(), options, **settings)
+    satellite.shielded = shielded
+    return agile_environment(satellite, options)

@@ -38,12 +38,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import torch
-
 from bsk_torch import act, comm, data, formations, obs, sats, scene
 from bsk_torch.constants import R_EARTH
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.presets.aeos import AHEAD, ALTITUDE, ORBIT, SATELLITE, SOON, TARGET, agile_args, agile_satellites, looking_ahead
+from bsk_torch.presets.aeos import AHEAD, ALTITUDE, ORBIT, SOON, AgileSatellite, agile_args, imagers, looking_ahead
 from bsk_torch.sim import dyn, fsw
 
 CHOICES = 16
@@ -51,11 +49,6 @@ CHOICES = 16
 
 RELAY_ALTITUDE = 2500.0
 """Altitude of the relays, km. The Earth blocks two relays half an orbit apart, but each sees low imagers on its side."""
-
-
-def choices(as_set: bool = False) -> obs.OpportunityProperties:
-    """Return the observation of the next :data:`CHOICES` targets."""
-    return obs.OpportunityProperties(*TARGET, type="target", n_ahead_observe=CHOICES, as_set=as_set)
 
 
 class LinkedDynModel(dyn.ImagingDynModel, dyn.LOSCommDynModel):
@@ -66,31 +59,18 @@ class RelayDynModel(dyn.BasicDynamicsModel, dyn.LOSCommDynModel):
     """Dynamics of a relay that communicates along lines of sight."""
 
 
-class LinkedImager(sats.ImagingSatellite):
-    """Images one of the next 16 targets."""
+class LinkedImager(AgileSatellite):
+    """An imager of AEOS-v1 that communicates."""
 
-    observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), choices(), obs.Time())
-    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=CHOICES, mask_late=False),)
     dyn_type = LinkedDynModel
-    fsw_type = fsw.SteeringImagerFSWModel
-
-
-class LinkedSetImager(LinkedImager):
-    """The same, with targets as a set."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), choices(as_set=True), obs.Time())
 
 
 class BroadcastingImager(LinkedImager):
     """Can also broadcast its knowledge of images."""
 
-    action_spec = (act.Image(n_ahead_image=CHOICES, mask_late=False), act.Broadcast(duration=1.0))
-
 
 class BroadcastingSetImager(BroadcastingImager):
-    """The same, with targets as a set."""
-
-    observation_spec = LinkedSetImager.observation_spec
+    """The same, observing targets as a set; groups of agents are named after the classes."""
 
 
 class Relay(sats.Satellite):
@@ -108,6 +88,11 @@ class Relay(sats.Satellite):
     )
     dyn_type = RelayDynModel
     fsw_type = fsw.BasicFSWModel
+
+
+def names_of(count: int) -> list[str]:
+    """Return the names of imagers."""
+    return [f"EO{k + 1}" for k in range(count)]
 
 
 class BroadcastInSight(comm.BroadcastCommunication, comm.LOSCommunication):
@@ -151,11 +136,8 @@ def constellation(
         **options: Arguments of the environment to override, and ``variable_interval`` of the satellites; ``sat_args`` are merged
             with the preset's.
     """
-    kind: type[LinkedImager] = LinkedSetImager if as_set else LinkedImager
-    arguments = steady_args() | options.pop("sat_args", {})
-    settings = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor)}
-    settings |= {"variable_interval": options.pop("variable_interval", True), "may_see_nothing": True}
-    satellites = [kind(f"EO{k + 1}", arguments, **settings) for k in range(n_satellites)]
+    settings = looking_ahead(as_set=as_set, n_ahead=CHOICES)
+    satellites = imagers(LinkedImager, names_of(n_satellites), steady_args(), options, **settings)
     parts = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=comm.LOSCommunication(),
@@ -176,10 +158,9 @@ def aeos_constellation(
     **options: Any,
 ) -> ConstellationTasking:
     """Return AEOSConstellation-v1; see the module, and :func:`constellation` and :func:`bsk_torch.presets.aeos.aeos`."""
-    kind = looking_ahead(agile_satellites(benchmark)[as_set], n_ahead)
-    arguments = {name: value for name, value in agile_args(benchmark).items() if name != "oe"} | options.pop("sat_args", {})
-    obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
-    satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
+    settings = looking_ahead(as_set=as_set, n_ahead=n_ahead, benchmark=benchmark)
+    arguments = {name: value for name, value in agile_args(benchmark).items() if name != "oe"}
+    satellites = imagers(AgileSatellite, names_of(n_satellites), arguments, options, **settings)
     parts = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=comm.FreeCommunication(min_period=60.0),
@@ -202,21 +183,21 @@ def relay_constellation(
     Groups of agents are ``broadcasting_imager``, or ``broadcasting_set_imager`` with ``as_set=True``, and ``relay``. Arguments
     are those of :func:`constellation`; ``sat_args`` are merged with those of the imagers, ``relay_args`` with the relays' own.
     """
-    arguments = steady_args() | options.pop("sat_args", {})
     relay_args = dict(basePowerDraw=-60.0, batteryStorageCapacity=1e6, storedCharge_Init=5e5) | options.pop("relay_args", {})
     kind: type[BroadcastingImager] = BroadcastingSetImager if as_set else BroadcastingImager
-    obs_type = dict if as_set else torch.Tensor
-    imagers = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_imagers)]
+    settings = looking_ahead(as_set=as_set, n_ahead=CHOICES)
+    settings["action_spec"] = (*settings["action_spec"], act.Broadcast(duration=1.0))
+    low = imagers(kind, names_of(n_imagers), steady_args(), options, **settings)
     relays = [Relay(f"Relay{k + 1}", relay_args) for k in range(n_relays)]
     parts = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=BroadcastInSight(),
         sat_arg_randomizer=formations.together(
             {
-                tuple(satellite.name for satellite in imagers): formations.walker_delta_args(1, altitude=500.0, inc=45.0),
+                tuple(satellite.name for satellite in low): formations.walker_delta_args(1, altitude=500.0, inc=45.0),
                 tuple(satellite.name for satellite in relays): formations.walker_delta_args(1, altitude=RELAY_ALTITUDE, inc=60.0),
             }
         ),
         failure_penalty=-1.0,
     )
-    return ConstellationTasking([*imagers, *relays], **(defaults() | parts | options))
+    return ConstellationTasking([*low, *relays], **(defaults() | parts | options))

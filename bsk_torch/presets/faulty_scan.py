@@ -77,12 +77,6 @@ def scanning_faults(kinds: Collection[str] = KINDS, chance: float = CHANCE) -> l
     ]
 
 
-class FaultObservingSatellite(ScanningSatellite):
-    """The satellite of the paper, which observes which of its parts have failed."""
-
-    observation_spec = (*ScanningSatellite.observation_spec, obs.SatProperties(dict(prop="fault_severity"), name="faults"))
-
-
 def faulty_scan(
     *,
     kinds: Collection[str] = KINDS,
@@ -97,5 +91,6 @@ def faulty_scan(
     The severity of faults is part of the observation unless ``observed`` is False.
     """
     arguments = scanning_args() | dict(faults=scanning_faults(kinds, chance)) | (sat_args or {})
-    kind = FaultObservingSatellite if observed else ScanningSatellite
-    return scanning_environment(kind("Scanner1", arguments, obs_type=obs_type), options)
+    severity = (obs.SatProperties(dict(prop="fault_severity"), name="faults"),) if observed else ()
+    spec = (*ScanningSatellite.observation_spec, *severity)
+    return scanning_environment(ScanningSatellite("Scanner1", arguments, obs_type=obs_type, observation_spec=spec), options)

@@ -77,7 +77,7 @@ from typing_extensions import override
 
 from bsk_torch import act, comm, craft, data, formations, obs, sats, scene
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.presets.aeos import CLOUDS, ORBIT, SATELLITE, SOON, TARGET
+from bsk_torch.presets.aeos import CLOUDS, ORBIT, SATELLITE, SOON, imagers, targets_ahead
 from bsk_torch.presets.aeos_power import CHARGE, RESOURCES, power_args, shield
 from bsk_torch.presets.constellation import CHOICES
 from bsk_torch.presets.nadir_scan import next_station
@@ -109,7 +109,7 @@ def observed(as_set: bool) -> tuple[obs.Observation, ...]:
     claims = dict(fn=claimed, name="claimed")
     return (
         obs.SatProperties(*SATELLITE, *RESOURCES),
-        obs.OpportunityProperties(*TARGET, CLOUDS, claims, type="target", n_ahead_observe=CHOICES, as_set=as_set),
+        targets_ahead(CLOUDS, claims, as_set=as_set, n_ahead=CHOICES),
         next_station(),
         obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
@@ -183,9 +183,9 @@ def hetero_cluster(*, n_targets: int | tuple[int, int] = 5000, as_set: bool = Fa
     those of the optical satellites, ``radar_args`` with those of the radar.
     """
     kinds = (OpticalSetImager, RadarSetImager) if as_set else (OpticalImager, RadarImager)
-    optical, radar = optical_args() | options.pop("sat_args", {}), radar_args() | options.pop("radar_args", {})
-    settings: dict[str, Any] = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor), "may_see_nothing": True}
-    satellites = [*(kinds[0](f"EO{k + 1}", optical, **settings) for k in range(2)), kinds[1]("SAR1", radar, **settings)]
+    settings: dict[str, Any] = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor)}
+    radars = imagers(kinds[1], ["SAR1"], radar_args(), {"sat_args": options.pop("radar_args", {})}, **settings)
+    satellites = [*imagers(kinds[0], ["EO1", "EO2"], optical_args(), options, **settings), *radars]
     defaults: dict[str, Any] = dict(
         scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)),
         rewarder=data.CloudFreeImageReward(),

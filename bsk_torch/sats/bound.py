@@ -172,25 +172,15 @@ class Others(Mapping[str, OtherSatellite]):
 
 
 class TaskState(StateTable):
-    """Tasks in progress of N satellites.
+    """Tasks in progress of N satellites."""
 
-    Attributes:
-        previous_action: Key of the last action, or of the one in progress; see :class:`bsk_torch.act.base.Decision`.
-        dead: Which satellites have died.
-        requires_retasking: Which have no task left.
-        ends: Tick since reset at which the task's time is up.
-        action: The action in progress, which the builder of actions declares: its number [N], or its values [N, A].
-        task_duration: Its duration, s.
-        expected: Tick at which it will probably end.
-    """
-
-    previous_action: Tensor
-    dead: Tensor
-    requires_retasking: Tensor
-    ends: Tensor
-    action: Tensor
-    task_duration: Tensor
-    expected: Tensor
+    previous_action: Tensor  # key of the last action, or of the one in progress; see Decision
+    dead: Tensor  # which satellites have died
+    requires_retasking: Tensor  # which have no task left
+    ends: Tensor  # tick since reset at which the task's time is up
+    action: Tensor  # the action in progress, which the builder of actions declares: its number [N], or its values [N, A]
+    task_duration: Tensor  # its duration, s
+    expected: Tensor  # tick at which it will probably end
 
     def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
         """Make the table; no satellite has a task."""

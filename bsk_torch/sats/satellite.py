@@ -95,6 +95,8 @@ class SatelliteOptions(TypedDict, total=False):
     obs_type: type
     dtype: object
     variable_interval: bool
+    observation_spec: Sequence[Any]
+    action_spec: Sequence[Any]
 
 
 class Satellite:
@@ -127,6 +129,8 @@ class Satellite:
         obs_type: type = torch.Tensor,
         dtype: object = None,
         variable_interval: bool = True,
+        observation_spec: Sequence[Any] | None = None,
+        action_spec: Sequence[Any] | None = None,
     ) -> None:
         """Describe a satellite; an environment makes its own copy and simulates that.
 
@@ -140,10 +144,14 @@ class Satellite:
             dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
                 have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
+            observation_spec: Observations in place of those of the class; satellites of one type share the list.
+            action_spec: Actions, likewise.
         """
         if fault := name_fault(text("name", name)):
             raise ValueError(f"name={name!r} {fault}")
-        for spec in ("observation_spec", "action_spec"):
+        for spec, own in (("observation_spec", observation_spec), ("action_spec", action_spec)):
+            if own is not None:
+                setattr(self, spec, own)
             entries = getattr(self, spec)
             if not isinstance(entries, Sequence) or isinstance(entries, str):
                 raise ValueError(f"{type(self).__name__}.{spec} = {entries!r}; it must be a list, also of a single entry")

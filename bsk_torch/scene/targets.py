@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch._checks import number, text
+from bsk_torch._checks import number, text, vector
 from bsk_torch.astro.geodetic import Vertical
 from bsk_torch.rand import first_key
 from bsk_torch.sats.bound import SatelliteFleet
@@ -37,12 +37,7 @@ class Target:
 
     def __init__(self, name: str, r_LP_P: Sequence[float] | np.ndarray, priority: float) -> None:
         """See the attributes; ValueError unless position and priority are finite numbers."""
-        try:
-            self.r_LP_P = np.asarray(r_LP_P, dtype=float)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"r_LP_P={r_LP_P!r} must be three numbers, m: {error}") from error
-        if self.r_LP_P.shape != (3,) or not np.isfinite(self.r_LP_P).all():
-            raise ValueError(f"r_LP_P={r_LP_P!r} must be three finite numbers, m")
+        self.r_LP_P = np.array(vector("r_LP_P", r_LP_P, zero=True))
         self.name, self.priority = text("name", name), number("priority", priority)
 
     _place: tuple[int, int] | None = None

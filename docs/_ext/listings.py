@@ -79,13 +79,10 @@ def presets() -> str:
 
 
 def about(name: str) -> str:
-    """Return what a preset is about, from the table in the docstring of ``bsk_torch.presets``."""
-    found = re.search(
-        rf"^``{re.escape(name)}``\s+``\S+``\s+(.+)$", importlib.import_module("bsk_torch.presets").__doc__ or "", re.M
-    )
-    if found is None:
-        raise ValueError(f"the docstring of bsk_torch.presets has no row for {name}")
-    return found[1].replace("``", "`")
+    """Return what a preset is about."""
+    from bsk_torch._listed import LISTED
+
+    return LISTED[name].task
 
 
 def options(preset: Any) -> list[list[str]]:

@@ -21,7 +21,7 @@ import torch
 
 from bsk_torch import ConstellationTasking, comm, data, scene
 from bsk_torch.formats import SAMPLES
-from bsk_torch.presets.aeos import AgileSetSatellite, agile_args
+from bsk_torch.presets.aeos import AgileSatellite, agile_args, looking_ahead
 from bsk_torch.recording import record
 from bsk_torch.rl.marl import shared
 from bsk_torch.rl.policies import pretrained
@@ -32,8 +32,11 @@ HOURS = 6.0
 torch.set_num_threads(1)
 
 spacecraft = {name: value for name, value in agile_args().items() if name != "oe"}
-satellites = AgileSetSatellite.from_tle(
-    SAMPLES / "earth_observation.tle", spacecraft, obs_type=dict, may_see_nothing=True
+satellites = AgileSatellite.from_tle(
+    SAMPLES / "earth_observation.tle",
+    spacecraft,
+    may_see_nothing=True,
+    **looking_ahead(as_set=True),
 )
 env = ConstellationTasking(
     satellites,

@@ -7,9 +7,8 @@ from bsk_torch import SatelliteTasking, data, scene
 from bsk_torch.env.agents import agents_of, check_map
 from bsk_torch.lab.basilisk.flight import problem_of
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
-from bsk_torch.tasks.objects import RSOImageReward, RSOTargets, RSOTeamState
+from bsk_torch.tasks.objects import RSOImageReward, RSOTargets, RSOTeamState, team_preset
 from bsk_torch.tasks.objects.preset import servicing_catalog
-from bsk_torch.tasks.objects.team_preset import KINDS, SensorOfThree
 from tests.support.refusals import check_refusals, refusal
 from tests.tasks.objects.objects import environment
 
@@ -138,8 +137,7 @@ def test_rejects_wrong_options_of_sensors_and_rules_without_a_team():
 
 def test_rejects_states_of_teams_of_another_size(monkeypatch):
     def team(*states):
-        kind = type("Seeing", (SensorOfThree,), dict(observation_spec=states))
-        monkeypatch.setitem(KINDS, 3, (kind,) * 3)
+        monkeypatch.setattr(team_preset, "observed", lambda *settings: states)
         services("ThreeSensors-v1", information="radio").reset()
 
     state = RSOTeamState

@@ -11,10 +11,9 @@ import bsk_torch
 from bsk_torch.act import image_target
 from bsk_torch.cli.main import app
 from bsk_torch.rl.policies.shared_policy import baseline, for_each_group, shared_baselines
-from bsk_torch.tasks.objects import RSOTeamState
+from bsk_torch.tasks.objects import RSOTeamState, team_preset
 from bsk_torch.tasks.objects.records import AGO, DELIVERED
 from bsk_torch.tasks.objects.rules import ORDERS, WORTHS
-from bsk_torch.tasks.objects.team_preset import KINDS, SensorOfThree
 from bsk_torch.tasks.objects.team_rules import Choices, TeamRule
 from tests.support.episodes import begun
 
@@ -324,12 +323,6 @@ def test_a_busy_sensor_reserves_its_target():
     assert float(env.scenario.records.latest().amax()) >= AGO
 
 
-class Reporter(SensorOfThree):
-    """Observes a summary of the others."""
-
-    observation_spec = (*SensorOfThree.observation_spec, RSOTeamState(2))
-
-
 def heard_state(imagers, row):
     """Battery, storage, fastest wheel, end of the task, s, and its place among the observed kinds."""
     dynamics, task, simulator = imagers.dynamics, imagers.task, imagers.simulator
@@ -368,7 +361,8 @@ def summary(scenario, e, a, heard, now):
 
 def test_the_state_of_the_team_is_what_has_been_heard_last(monkeypatch):
     """Imagers that transmit whenever they can, and act at random otherwise."""
-    monkeypatch.setitem(KINDS, 3, (Reporter,) * 3)
+    usual = team_preset.observed
+    monkeypatch.setattr(team_preset, "observed", lambda *settings: (*usual(*settings), RSOTeamState(2)))
     env = sensors("ThreeSensors-v1", information="radio", num_envs=3)
     (group,) = env.group_map
     policy, td, heard, sizes = bsk_torch.rule("random", env), env.reset(), {}, set()

@@ -14,7 +14,7 @@ from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.tasks.objects.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.tasks.objects.dyn import GATE_FIELDS, RSO_TRACK
-from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
+from bsk_torch.tasks.objects.orbits import CatalogOrbits
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
@@ -59,7 +59,7 @@ class Aims:
         states = (torch.tensor([[list(t.sat_args[name]) for t in self._targets]]).double() for name in ("rN", "vN"))
         r_N, v_N = states
         et = first.state.arguments["utc_init"][:1]
-        orbits = CatalogOrbits(1, len(self._targets), solver, Epoch(lambda envs: et[envs], lambda envs: (r_N[envs], v_N[envs])))
+        orbits = CatalogOrbits(1, len(self._targets), solver, lambda envs: et[envs], lambda envs: (r_N[envs], v_N[envs]))
         for simulator in self.fleet.simulators:
             if "rso_armed" in simulator.tick.state.fields:
                 if AIM not in simulator.memory:

@@ -31,31 +31,20 @@ BATCHES = (5, 7, 11, 13, 17, 19)
 
 
 class Trial(NamedTuple):
-    """Results of trial episodes.
+    """Results of trial episodes."""
 
-    Attributes:
-        values: Observations of one environment, for each type of satellite.
-        calls_user: Whether user functions have been tried.
-        nbytes: Size of an environment's state in bytes.
-        read: Observables of each type that observations read and do not list; one kernel is to compute them, too.
-    """
-
-    values: list[Values]
-    calls_user: bool
-    nbytes: int
+    values: list[Values]  # observations of one environment, for each type of satellite
+    calls_user: bool  # whether user functions have been tried
+    nbytes: int  # size of an environment's state in bytes
+    # observables of each type that observations read and do not list; one kernel is to compute them, too
     read: list[tuple[Function, ...]]
 
 
 class Made(NamedTuple):
-    """Parts that an environment takes over from another one of the same kind.
+    """Parts that an environment takes over from another one of the same kind."""
 
-    Attributes:
-        types: Types of satellites.
-        trial: Trial episodes; None if they have tried user functions.
-    """
-
-    types: Sequence[SatelliteType]
-    trial: Trial | None
+    types: Sequence[SatelliteType]  # types of satellites
+    trial: Trial | None  # trial episodes; None if they have tried user functions
 
 
 _made: ContextVar[Made | None] = ContextVar("made", default=None)

@@ -5,8 +5,7 @@ Attributes are imported when they are first read (PEP 562), so that the help of 
 
 from typing import TYPE_CHECKING
 
-from bsk_torch._rooms import resolve as _resolve
-from bsk_torch.sim.names import nearest as _nearest
+from bsk_torch._rooms import lazy as _lazy
 
 if TYPE_CHECKING:
     from bsk_torch.tasks.aeos_bench.act import PointAtTask
@@ -35,25 +34,18 @@ __all__ = [
     "write_cases",
 ]
 
-_MODULES = {
-    "PointAtTask": "act",
-    "AEOSBenchDynModel": "dyn",
-    "AEOSBenchTracedDynModel": "dyn",
-    "Cases": "files",
-    "read_cases": "files",
-    "AEOSBenchFSWModel": "fsw",
-    "AEOSBenchGenerator": "generator",
-    "TaskProperties": "obs",
-    "TaskReward": "reward",
-    "NearestTask": "rules",
-    "AEOSBench": "scene",
-    "write_cases": "writing",
-}
-"""Modules of the attributes."""
-
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {_nearest(name, __all__)}")
-    value = globals()[name] = _resolve(f"{__name__}.{_MODULES[name]}:{name}")
-    return value
+__getattr__ = _lazy(
+    __name__,
+    {
+        "act": ["PointAtTask"],
+        "dyn": ["AEOSBenchDynModel", "AEOSBenchTracedDynModel"],
+        "files": ["Cases", "read_cases"],
+        "fsw": ["AEOSBenchFSWModel"],
+        "generator": ["AEOSBenchGenerator"],
+        "obs": ["TaskProperties"],
+        "reward": ["TaskReward"],
+        "rules": ["NearestTask"],
+        "scene": ["AEOSBench"],
+        "writing": ["write_cases"],
+    },
+)

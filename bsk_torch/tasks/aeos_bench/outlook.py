@@ -57,17 +57,12 @@ class TaskOutlook(NamedTuple):
 
 
 class TaskCandidates(NamedTuple):
-    """The first n tasks of each satellite, [N, S, n] each, in the order of their costs.
+    """The first n tasks of each satellite, [N, S, n] each, in the order of their costs."""
 
-    Attributes:
-        task: Number of the task.
-        exists: Whether it may succeed; the others pad.
-        cost: Time until it succeeds, s, less :data:`KEEP` for the current task, and plus :data:`LATE` if that is not expected in
-            time; :data:`NEVER` for padding.
-    """
-
-    task: Tensor
-    exists: Tensor
+    task: Tensor  # number of the task
+    exists: Tensor  # whether it may succeed; the others pad
+    # time until it succeeds, s, less KEEP for the current task, and plus LATE if that is not expected in time; NEVER for
+    # padding
     cost: Tensor
 
 

@@ -33,7 +33,7 @@ Random at reset: orbits, bodies, wheels, gains, panels, sensors and batteries of
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
@@ -113,38 +113,6 @@ class BenchSatellite(sats.Satellite):
     )
     action_spec = (PointAtTask(),)
 
-    def __init__(
-        self,
-        name: str,
-        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None,
-        *,
-        action: PointAtTask | None = None,
-        **options: Any,
-    ) -> None:
-        """Describe a satellite, with another action if one is given; see :class:`~bsk_torch.sats.Satellite`."""
-        super().__init__(name, sat_args, **options)
-        if action is not None:
-            self.action_spec = (action,)  # type: ignore[misc]
-
-
-CANDIDATES = 8
-"""Tasks among which satellites with candidates choose."""
-
-OWN = BenchSatellite.observation_spec[:1]
-
-
-class CandidateSatellite(BenchSatellite):
-    """A satellite that chooses among the tasks that it can be expected to complete first."""
-
-    observation_spec = (*OWN, TaskProperties(n_ahead_observe=CANDIDATES), obs.Time())
-    action_spec = (PointAtTask(n_candidates=CANDIDATES),)
-
-
-class CandidateSetSatellite(CandidateSatellite):
-    """A satellite that observes its candidates as a set."""
-
-    observation_spec = (*OWN, TaskProperties(n_ahead_observe=CANDIDATES, as_set=True), obs.Time())
-
 
 class HeldBenchSatellite(BenchSatellite):
     """A satellite whose choices last longer than a second."""
@@ -152,23 +120,8 @@ class HeldBenchSatellite(BenchSatellite):
     dyn_type = AEOSBenchTracedDynModel
 
 
-class HeldCandidateSatellite(CandidateSatellite):
-    """A satellite whose choices among candidates last longer than a second."""
-
-    dyn_type = AEOSBenchTracedDynModel
-
-
-class HeldCandidateSetSatellite(CandidateSetSatellite):
-    """A satellite whose choices last longer than a second, and which observes its candidates as a set."""
-
-    dyn_type = AEOSBenchTracedDynModel
-
-
-KINDS = (
-    (BenchSatellite, CandidateSatellite, CandidateSetSatellite),
-    (HeldBenchSatellite, HeldCandidateSatellite, HeldCandidateSetSatellite),
-)
-"""Satellites by whether choices last longer than a second; without candidates, with them, and with them as a set."""
+CANDIDATES = 8
+"""Tasks among which satellites with candidates choose."""
 
 
 def aeos_bench(
@@ -227,7 +180,8 @@ def aeos_bench(
         raise ValueError(f"sensor={sensor!r} does not go with candidates=True, for which it must be 'assigned'")
     if as_set and not candidates:
         raise ValueError("as_set=True observes candidates as a set; give candidates=True with it")
-    kind = KINDS[held][candidates + switch("as_set", as_set)]
+    own, time = BenchSatellite.observation_spec
+    ahead = (TaskProperties(n_ahead_observe=CANDIDATES, as_set=switch("as_set", as_set)),) if candidates else ()
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     if folder is not None and orbits != "random":
         raise ValueError(f"orbits={orbits!r} is of random cases, but folder gives the cases; leave one of them out")
@@ -250,7 +204,9 @@ def aeos_bench(
         sim_rate=TICK,
         terminate_on_time_limit=False,
     )
-    fleet = [kind(name, FIXED | form, action=action, obs_type=observed_as) for name in names]
+    kind = HeldBenchSatellite if held else BenchSatellite
+    settings: dict[str, Any] = dict(obs_type=observed_as, observation_spec=(own, *ahead, time), action_spec=(action,))
+    fleet = [kind(name, FIXED | form, **settings) for name in names]
     return ConstellationTasking(fleet, **(defaults | options))
 
 

@@ -27,25 +27,15 @@ CLOSENESS = 0.6, 0.2, 0.2
 
 
 class Counts(NamedTuple):
-    """What n episodes come to in K ticks, of the u tasks that are seen.
+    """What n episodes come to in K ticks, of the u tasks that are seen."""
 
-    Attributes:
-        sights: Who sees which task at which tick, m entries.
-        place: Which of the u tasks each of these is, [m].
-        row: Episode of each task, from 0 to n - 1, [u].
-        task: Its number, [u].
-        viewers: By how many satellites it is seen, [u, K] float64.
-        run: Its progress, [u, K]; see :func:`progress`.
-        first: The tick at which it succeeds, [u], counted from one; :data:`NEVER` for none.
-    """
-
-    sights: Sights
-    place: Tensor
-    row: Tensor
-    task: Tensor
-    viewers: Tensor
-    run: Tensor
-    first: Tensor
+    sights: Sights  # who sees which task at which tick, m entries
+    place: Tensor  # which of the u tasks each of these is, [m]
+    row: Tensor  # episode of each task, from 0 to n - 1, [u]
+    task: Tensor  # its number, [u]
+    viewers: Tensor  # by how many satellites it is seen, [u, K] float64
+    run: Tensor  # its progress, [u, K]; see progress
+    first: Tensor  # the tick at which it succeeds, [u], counted from one; NEVER for none
 
 
 def task_measures(*, duration: Tensor, release: Tensor, success: Tensor, best: Tensor, energy: Tensor) -> dict[str, Tensor]:

@@ -5,8 +5,7 @@ Attributes are imported when they are first read (PEP 562), so that the help of 
 
 from typing import TYPE_CHECKING
 
-from bsk_torch._rooms import resolve as _resolve
-from bsk_torch.sim.names import nearest as _nearest
+from bsk_torch._rooms import lazy as _lazy
 
 if TYPE_CHECKING:
     from bsk_torch.tasks.aeossp.env import case_env, drawn_case_env
@@ -50,22 +49,15 @@ __all__ = [
     "write_solution",
 ]
 
-_MODULES = {
-    **dict.fromkeys(("case_env", "drawn_case_env"), "env"),
-    **dict.fromkeys(
-        ("Case", "CaseSatellite", "Observations", "Requests", "read_case", "read_solution", "write_solution"), "files"
-    ),
-    **dict.fromkeys(("Flight", "fly"), "flight"),
-    **dict.fromkeys(("fitting_factor", "thinned"), "margins"),
-    **dict.fromkeys(("Plan", "plan"), "planning"),
-    **dict.fromkeys(("Power", "Report", "Slews", "check"), "rules"),
-    **dict.fromkeys(("Line", "flyable", "verifier"), "slews"),
-}
-"""Modules of the attributes."""
-
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {_nearest(name, __all__)}")
-    value = globals()[name] = _resolve(f"{__name__}.{_MODULES[name]}:{name}")
-    return value
+__getattr__ = _lazy(
+    __name__,
+    {
+        "env": ["case_env", "drawn_case_env"],
+        "files": ["Case", "CaseSatellite", "Observations", "Requests", "read_case", "read_solution", "write_solution"],
+        "flight": ["Flight", "fly"],
+        "margins": ["fitting_factor", "thinned"],
+        "planning": ["Plan", "plan"],
+        "rules": ["Power", "Report", "Slews", "check"],
+        "slews": ["Line", "flyable", "verifier"],
+    },
+)

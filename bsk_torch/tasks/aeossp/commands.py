@@ -1,26 +1,31 @@
-"""``bsk-torch aeossp plan`` and ``aeossp check``: plans for cases of aeossp_standard, and what its rules say about them."""
+"""``bsk-torch aeossp``: plans for cases of aeossp_standard, what its rules say about them, and what flown satellites deliver."""
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bsk_torch.cli.declaration import flag
+from bsk_torch.cli.declaration import JsonFile, flag
 from bsk_torch.cli.shared import check_writable
-from bsk_torch.cli.terminal import echo, fail, refusing, working
+from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.sim.names import nearest
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
     from bsk_torch.tasks.aeossp.files import Case, Observations
+    from bsk_torch.tasks.aeossp.flight import Flight
     from bsk_torch.tasks.aeossp.rules import Report
 
 CaseFolder = Annotated[
     Path,
     typer.Argument(metavar="CASE", help="Folder of the case: mission.yaml, satellites.yaml, tasks.yaml.", show_default=False),
 ]
+
+SolutionFile = Annotated[Path, typer.Argument(metavar="FILE", help="JSON file of the solution.", show_default=False)]
 
 SHOWN = 10
 """Violations that are printed."""
@@ -62,7 +67,7 @@ def plan_case(
 
 def check_solution(
     case: CaseFolder,
-    solution: Annotated[Path, typer.Argument(metavar="FILE", help="JSON file of the solution.", show_default=False)],
+    solution: SolutionFile,
 ) -> None:
     """Check a solution of a case of aeossp_standard by the benchmark's rules; the exit status is 1 for an invalid one.
 
@@ -98,3 +103,85 @@ def print_report(case: Case, observations: Observations, report: Report) -> None
         "least charge, %": f"{100.0 * min(margins):.1f}",
     }
     print_table([row], f"{case.name}: {len(case.satellites)} satellites, {len(case.requests)} tasks", left=("plan",))
+
+
+def fly_solution(
+    case: CaseFolder,
+    solution: SolutionFile,
+    power: Annotated[str, flag("NAME", "Load of slews: 'case', as in the case, or 'wheels', that of the wheels.")] = "case",
+    tick: Annotated[float, flag("S", "Length of a tick.")] = 0.1,
+    margins: Annotated[str, flag("S,S,...", "Also fly the plan without observations whose gaps have less slack.")] = "",
+    out: JsonFile = None,
+    *,
+    options: Annotated[dict[str, object], ("threads",)],
+) -> None:
+    """Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.
+
+    The row 'honest' is flown with the slew limits of the case, the row 'as promised' with the smallest common factor of these
+    limits with which all is delivered; without the latter, none up to 4 does.
+
+    Examples:
+        bsk-torch aeossp fly test/case_0001 solution.json
+        bsk-torch aeossp fly case solution.json --margins 1,2,5 --out flown.json
+    """
+    from bsk_torch._checks import number
+    from bsk_torch.files import write_file
+    from bsk_torch.tasks.aeossp.files import read_case, read_solution
+    from bsk_torch.tasks.aeossp.flight import fly
+    from bsk_torch.tasks.aeossp.margins import fitting_factor, thinned
+
+    check_writable(out)
+    with refusing():
+        slacks = [number("margins", float(text), 0.0, unit="s") for text in margins.split(",") if text]
+        task = read_case(case)
+        plan = read_solution(solution, task)
+    with working(f"flying {solution.name}"), refusing():
+        flight = fly(task, plan, power=power, tick=tick)
+        rows = [{"flown": "honest", "factor": "1", **cells(task, plan, flight)}]
+        factor = fitting_factor(task, plan, power=power, tick=tick)
+        if 1.0 < factor < math.inf:
+            scaled = cells(task, plan, fly(task, plan, factor=factor, power=power, tick=tick))
+            rows.append({"flown": "as promised", "factor": f"{factor:.2f}", **scaled})
+        for slack in slacks:
+            part = thinned(task, plan, slack)
+            rows.append(
+                {"flown": f"slack {slack:g} s", "factor": "1"} | cells(task, part, fly(task, part, power=power, tick=tick))
+            )
+    activity.report()
+    print_table(rows, f"{task.name}, {solution.name}", left=("flown",), whole=("flown", "WCR"))
+    if out is not None:
+        write_file(out, json.dumps({"rows": rows, "observations": described(task, plan, flight)}, indent=1) + "\n")
+
+
+def cells(case: Case, observations: Observations, flight: Flight) -> dict[str, str]:
+    """Return a row of the table: delivered of promised observations and weight, and reasons of missed ones."""
+    from bsk_torch.tasks.aeossp.flight import REASONS
+    from bsk_torch.tasks.aeossp.margins import completed_weight, delivered
+
+    missed = {reason: int((flight.missed == k).sum()) for k, reason in enumerate(REASONS)}
+    weights = (completed_weight(case, part) for part in (delivered(observations, flight), observations))
+    return {
+        "delivered": f"{int(flight.delivered.sum())} of {len(observations)}",
+        "WCR": "{:.4f} of {:.4f}".format(*weights),
+        **{reason.replace("_", " "): str(count) for reason, count in missed.items() if count},
+    }
+
+
+def described(case: Case, observations: Observations, flight: Flight) -> list[dict[str, object]]:
+    """Return what became of each observation."""
+    from bsk_torch.tasks.aeossp.files import iso
+    from bsk_torch.tasks.aeossp.flight import REASONS
+
+    o = observations
+    columns = o.satellite, o.task, o.start_s, flight.missed, flight.angle, flight.rate
+    return [
+        {
+            "satellite_id": case.satellites[satellite].name,
+            "task_id": case.requests.names[task],
+            "start_time": iso(case, start),
+            "missed": REASONS[missed] if missed >= 0 else None,
+            "pointing_error_rad": angle,
+            "rate_error_rad_per_s": rate,
+        }
+        for satellite, task, start, missed, angle, rate in zip(*(column.tolist() for column in columns), strict=True)
+    ]

@@ -42,19 +42,12 @@ CONE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Tracks:
-    """Positions of S satellites and T tasks on the K times of a case's grid, both ends of the horizon included.
+    """Positions of S satellites and T tasks on the K times of a case's grid, both ends of the horizon included."""
 
-    Attributes:
-        r: Positions of the satellites in TEME, m, [S, K, 3].
-        v: Their velocities, m/s.
-        sidereal: Sidereal times, rad, [K].
-        places: Positions of the tasks, Earth-fixed, m, [T, 3].
-    """
-
-    r: Array
-    v: Array
-    sidereal: Array
-    places: Array
+    r: Array  # positions of the satellites in TEME, m, [S, K, 3]
+    v: Array  # their velocities, m/s
+    sidereal: Array  # sidereal times, rad, [K]
+    places: Array  # positions of the tasks, Earth-fixed, m, [T, 3]
 
     def sight(self, satellite: Numbers, task: Numbers, k: Numbers) -> Array:
         """Return unit vectors from satellites to tasks at grid times, in TEME, [..., 3] for indices [...]."""
@@ -149,20 +142,13 @@ class Passes:
     """The P passes of a case: in each, a satellite can observe a task, at any of some successive starts.
 
     They are sorted by satellite, then by the first start.
-
-    Attributes:
-        satellite: Numbers of the satellites, [P].
-        task: Numbers of the tasks, [P].
-        first: Grid times of the first starts, [P].
-        starts: Numbers of starts, [P].
-        length: Lengths of the observations, in steps of the grid, [P].
     """
 
-    satellite: Numbers
-    task: Numbers
-    first: Numbers
-    starts: Numbers
-    length: Numbers
+    satellite: Numbers  # numbers of the satellites, [P]
+    task: Numbers  # numbers of the tasks, [P]
+    first: Numbers  # grid times of the first starts, [P]
+    starts: Numbers  # numbers of starts, [P]
+    length: Numbers  # lengths of the observations, in steps of the grid, [P]
 
     def __len__(self) -> int:
         return len(self.satellite)

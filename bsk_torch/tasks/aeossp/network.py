@@ -25,36 +25,22 @@ EXTRA_S = 30.0
 
 @dataclass(frozen=True)
 class Network:
-    """N nodes in P passes in C clusters.
-
-    Attributes:
-        passes: The passes.
-        node: First node of each pass, and N, [P + 1]; the nodes of a pass are successive.
-        of: Pass of each node, [N].
-        task: Its task, [N].
-        start: Grid times of the nodes' starts, [N].
-        end: Their ends, [N].
-        cluster: Cluster of each pass, [P]; they increase.
-        slot: Start of each node after the first of its cluster, [N].
-        reach: Steps after the end of an observation from which on any other may start, by satellite, [S].
-        edges: For the nodes in the order of ``order``, E numbers of nodes: the last of the first starts of another pass, all of
-            which leave enough time before this node; each node has N, too, for none.
-        edge: Where the edges of the nodes in ``order`` begin, and E, [N + 1].
-        order: Nodes, sorted by ``slot``, [N].
-    """
+    """N nodes in P passes in C clusters."""
 
     passes: Passes
-    node: Numbers
-    of: Numbers
-    task: Numbers
-    start: Numbers
-    end: Numbers
-    cluster: Numbers
-    slot: Numbers
-    reach: Numbers
+    node: Numbers  # first node of each pass, and N, [P + 1]; the nodes of a pass are successive
+    of: Numbers  # pass of each node, [N]
+    task: Numbers  # its task, [N]
+    start: Numbers  # grid times of the nodes' starts, [N]
+    end: Numbers  # their ends, [N]
+    cluster: Numbers  # cluster of each pass, [P]; they increase
+    slot: Numbers  # start of each node after the first of its cluster, [N]
+    reach: Numbers  # steps after the end of an observation from which on any other may start, by satellite, [S]
+    # for each node, sorted as in "order", E numbers of nodes: the last of the first starts of another pass, all of which
+    # leave enough time before this node; each node has N, too, for none
     edges: Numbers
-    edge: Numbers
-    order: Numbers
+    edge: Numbers  # where the edges of these nodes begin, and E, [N + 1]
+    order: Numbers  # nodes, sorted by slot, [N]
 
     @property
     def clusters(self) -> int:

@@ -21,15 +21,10 @@ OPEN, DONE = "#9aa3af", PALETTE[2]
 
 @dataclass(frozen=True, kw_only=True)
 class AreaEpisode(TrackEpisode):
-    """A :class:`~bsk_torch.viz.figures.timeline.TrackEpisode` over areas of C cells.
+    """A :class:`~bsk_torch.viz.figures.timeline.TrackEpisode` over areas of C cells."""
 
-    Attributes:
-        r_CP_P: Earth-fixed positions of the cells, [C, 3] m.
-        recorded_at: End of the step in which each was first recorded, infinite for never, [C] s.
-    """
-
-    r_CP_P: Tensor
-    recorded_at: Tensor
+    r_CP_P: Tensor  # Earth-fixed positions of the cells, [C, 3] m
+    recorded_at: Tensor  # end of the step in which each was first recorded, infinite for never, [C] s
 
     @override
     @classmethod

@@ -40,25 +40,15 @@ INSPECTOR_FIELDS = ("r_BN_N", "storage")
 
 
 class Records(NamedTuple):
-    """Records of a run by R pairs of an inspector and the spacecraft that it inspects.
+    """Records of a run by R pairs of an inspector and the spacecraft that it inspects."""
 
-    Attributes:
-        chief: Trace of inspected spacecraft, with :data:`CHIEF_FIELDS` among its fields.
-        chief_rows: Row of the trace of each pair, [R].
-        inspectors: Trace of inspectors, with :data:`INSPECTOR_FIELDS` among its fields; a record more than there are ticks.
-        inspector_rows: Row of the trace of each pair, [R].
-        ticks: Number of ticks of each pair, [R].
-        seen_from: First record in which points may be inspected, [R].
-        lit_from: First record in which points may be lit, [R].
-    """
-
-    chief: Trace
-    chief_rows: Tensor
-    inspectors: Trace
-    inspector_rows: Tensor
-    ticks: Tensor
-    seen_from: Tensor
-    lit_from: Tensor
+    chief: Trace  # trace of inspected spacecraft, with CHIEF_FIELDS among its fields
+    chief_rows: Tensor  # row of the trace of each pair, [R]
+    inspectors: Trace  # trace of inspectors, with INSPECTOR_FIELDS among its fields; a record more than there are ticks
+    inspector_rows: Tensor  # row of the trace of each pair, [R]
+    ticks: Tensor  # number of ticks of each pair, [R]
+    seen_from: Tensor  # first record in which points may be inspected, [R]
+    lit_from: Tensor  # first record in which points may be lit, [R]
 
 
 def find_flags(columns: Tensor, records: Records, compiled: bool) -> tuple[Tensor, Tensor]:
@@ -101,17 +91,11 @@ def _fields(layout: Layout, names: Sequence[str], planes: Sequence[Tensor], firs
 
 
 class _Limits(NamedTuple):
-    """Bounds over all points.
+    """Bounds over all points."""
 
-    Attributes:
-        reach2: Square of the longest distance from the spacecraft's center at which a point may be seen, m^2.
-        radius: Largest distance of a point from the center, m.
-        light: Least illumination in which a point may be lit.
-    """
-
-    reach2: Tensor
-    radius: Tensor
-    light: Tensor
+    reach2: Tensor  # square of the longest distance from the spacecraft's center at which a point may be seen, m^2
+    radius: Tensor  # largest distance of a point from the center, m
+    light: Tensor  # least illumination in which a point may be lit
 
 
 def _look(

@@ -25,23 +25,14 @@ NO_CONE, NO_SHADE = -4.0, -1.0
 
 
 class Point(NamedTuple):
-    """A point on a spacecraft with body axes B, or several: numbers, or tensors of one shape.
+    """A point on a spacecraft with body axes B, or several: numbers, or tensors of one shape."""
 
-    Attributes:
-        r_PB_B: Position, m.
-        n_B: Unit normal of the surface.
-        cone: Least signed square ``c |c|`` of the cosine c of the angle between the normal and the direction of the inspector.
-        range2: Square of the longest distance of the inspector, m^2.
-        sun: Least cosine of the angle between the normal and the direction of the Sun.
-        light: Least illumination of the spacecraft.
-    """
-
-    r_PB_B: Vec3
-    n_B: Vec3
-    cone: Tensor
-    range2: Tensor
-    sun: Tensor
-    light: Tensor
+    r_PB_B: Vec3  # position, m
+    n_B: Vec3  # unit normal of the surface
+    cone: Tensor  # least signed square c |c| of the cosine c of the angle between the normal and the direction of the inspector
+    range2: Tensor  # square of the longest distance of the inspector, m^2
+    sun: Tensor  # least cosine of the angle between the normal and the direction of the Sun
+    light: Tensor  # least illumination of the spacecraft
 
     @staticmethod
     def of(columns: Tensor | Sequence[Tensor]) -> Point:

@@ -59,7 +59,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -236,40 +236,6 @@ ACTIONS: dict[str, type[Inspector]] = {"thrust": Inspector, "waypoints": Waypoin
 """Inspectors by kind of action."""
 
 
-def rotation() -> obs.RelativeProperties:
-    """Return the observation of the RSO's attitude and rate relative to its Hill frame."""
-    return obs.RelativeProperties(dict(prop="rso_sigma_BH"), dict(prop="rso_omega_BH", norm=RATE), chief_name=CHIEF)
-
-
-TUMBLING = "OfTumbling"
-"""Ending of the names of inspectors that observe the rotation of the RSO."""
-
-
-@cache
-def crew_member(n_inspectors: int, actions: str, tumbling: bool = False) -> type[Inspector]:
-    """Return the class of an inspector that observes the others of ``n_inspectors``, and the rotation of a ``tumbling`` RSO."""
-    kind = ACTIONS[one_of("actions", actions, ACTIONS)]
-    peers = (OtherInspectors(n_inspectors),) if n_inspectors > 1 else ()
-    more = (*peers, *((rotation(),) if tumbling else ()))
-    if not more:
-        return kind
-    members = {"observation_spec": (*kind.observation_spec, *more), "__doc__": kind.__doc__, "__module__": __name__}
-    # the group of agents is named after the class; pickles find it by its qualified name, in __getattr__
-    name = f"{kind.__name__}Of{n_inspectors}{TUMBLING if tumbling else ''}"
-    return type(kind.__name__, (kind,), members | {"__qualname__": name})
-
-
-def __getattr__(name: str) -> type[Inspector]:
-    """Return a class of :func:`crew_member` by its name, as saved environments refer to it."""
-    start = name.removesuffix(TUMBLING)
-    tumbling = start != name
-    for actions, kind in ACTIONS.items():
-        count = start.removeprefix(f"{kind.__name__}Of")
-        if count != start and count.isdecimal() and int(count) > (0 if tumbling else 1):
-            return crew_member(int(count), actions, tumbling)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
 def fuel(satellite: sats.BoundSatellite) -> Tensor:
     """Return the velocity change left in the tanks, m/s, [N]."""
     return satellite.fsw.dv_available
@@ -320,15 +286,16 @@ def rso_inspection(
     """
     names = names_of(whole("n_inspectors", n_inspectors, 1))
     tumble = number("tumble", tumble, 0.0, 0.05, unit="rad/s")
-    kind = crew_member(n_inspectors, actions, tumble > 0.0)
+    kind = ACTIONS[one_of("actions", actions, ACTIONS)]
+    observed = [*kind.observation_spec, *([OtherInspectors(n_inspectors)] if n_inspectors > 1 else [])]
     chief = Chief(CHIEF, sat_args=dict(conjunction_radius=2.0))
     if tumble > 0.0:
         turning = dict(conjunction_radius=2.0, omega_init=rand.Uniform(-tumble, tumble, 3), **TUMBLING_BODY)
         chief = TumblingChief(CHIEF, sat_args=turning)
-    satellites = [
-        chief,
-        *(kind(name, sat_args=inspector_args() | (sat_args or {})) for name in names),
-    ]
+        rotation = dict(prop="rso_sigma_BH"), dict(prop="rso_omega_BH", norm=RATE)
+        observed.append(obs.RelativeProperties(*rotation, chief_name=CHIEF))
+    arguments = inspector_args() | (sat_args or {})
+    satellites = [chief, *(kind(name, arguments, observation_spec=observed) for name in names)]
     defaults: dict[str, Any] = dict(
         scenario=SphericalRSO(
             n_points=100, radius=1.0, theta_max=math.radians(30.0), range_max=250.0, theta_solar_max=math.radians(60.0)

@@ -11,6 +11,7 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.data.images import spread
 from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.state import FINITE
 from bsk_torch.sim.tick.trace import Flight
@@ -205,8 +206,7 @@ class RSOInspectionReward(GlobalReward):
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""
         for kind in KINDS:
-            knowledge = self.memory[f"known_{kind}"]
-            self.memory[f"known_{kind}"] = knowledge | (torch.bmm(links.mT.float(), knowledge.float()) > 0.5)
+            self.memory[f"known_{kind}"] = spread(self.memory[f"known_{kind}"], links)
 
     @override
     def recorded(self, env: int) -> RecordedProgress:
@@ -217,10 +217,6 @@ class RSOInspectionReward(GlobalReward):
         )
 
     # -- reward -------------------------------------------------------------------------------------------------------
-
-    def read_log(self) -> Log:
-        """See :meth:`GlobalReward.read_log`; empty, because the records of a run are used instead."""
-        return {}
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:

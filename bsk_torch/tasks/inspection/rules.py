@@ -53,21 +53,13 @@ DRIFT = 600.0
 
 @dataclass(frozen=True)
 class Situation:
-    """Observations of N inspectors.
+    """Observations of N inspectors."""
 
-    Attributes:
-        rho: Position in the Hill frame of the RSO, [N, 3] m.
-        velocity: Velocity in that frame, [N, 3] m/s.
-        sun: Direction of the Sun, [N, 3].
-        inspected: Fraction of inspected points in each region, [N, R].
-        centers: Directions of the regions, [R, 3].
-    """
-
-    rho: Tensor
-    velocity: Tensor
-    sun: Tensor
-    inspected: Tensor
-    centers: Tensor
+    rho: Tensor  # position in the Hill frame of the RSO, [N, 3] m
+    velocity: Tensor  # velocity in that frame, [N, 3] m/s
+    sun: Tensor  # direction of the Sun, [N, 3]
+    inspected: Tensor  # fraction of inspected points in each region, [N, R]
+    centers: Tensor  # directions of the regions, [R, 3]
 
     @staticmethod
     def of(observation: Tensor, description: Sequence[str]) -> Situation:
@@ -128,17 +120,11 @@ def survey_worth(situation: Situation, ahead: Transfers, max_dv: float, time_cos
 
 @dataclass(frozen=True)
 class InspectionRule:
-    """A rule for the inspectors of an environment.
+    """A rule for the inspectors of an environment."""
 
-    Attributes:
-        entry: Action of the inspectors.
-        description: Names of the observed values.
-        time_cost: Cost of 1 s of a transfer for the survey, in units of the reward.
-    """
-
-    entry: HillWaypoint | ImpulsiveThrustHill
-    description: Sequence[str]
-    time_cost: float = SECOND
+    entry: HillWaypoint | ImpulsiveThrustHill  # action of the inspectors
+    description: Sequence[str]  # names of the observed values
+    time_cost: float = SECOND  # cost of 1 s of a transfer for the survey, in units of the reward
 
     @classmethod
     def of(cls, env: SatelliteTasking, time_cost: float = SECOND) -> InspectionRule:

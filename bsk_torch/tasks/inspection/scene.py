@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch._checks import no_gradient, number, whole
+from bsk_torch._checks import number, vector, whole
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.rand import Key, seeded
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
@@ -29,7 +29,7 @@ DRAWN = "rso_points"
 ADVICE = "write points_are_fixed = True into the class if the points are the same in all episodes, and it is called once"
 
 FARTHEST = 1e6
-"""Largest coordinate of a point, m."""
+"""Largest distance of a point from the origin of the body axes, and largest length of a normal, m."""
 
 
 @dataclass(eq=False)
@@ -54,22 +54,10 @@ class RSOPoint:
 
     def numbers(self, title: str) -> list[float]:
         """Return the ten numbers of the point; ValueError, with a message starting with ``title``, for invalid ones."""
-        r_PB_B, n_B = (_vector(f"{title}.{name}", getattr(self, name)) for name in ("r_PB_B", "n_B"))
-        if max(map(abs, n_B)) == 0.0:
-            raise ValueError(f"{title}.n_B is zero; it must be a direction")
+        r_PB_B = vector(f"{title}.r_PB_B", self.r_PB_B, zero=True, longest=FARTHEST)
+        n_B = vector(f"{title}.n_B", self.n_B, longest=FARTHEST)
         limits = ("theta_max", "range_max", "theta_solar_max", "min_illumination_factor")
         return [*r_PB_B, *n_B, *(number(f"{title}.{name}", getattr(self, name)) for name in limits)]
-
-
-def _vector(title: str, value: object) -> list[float]:
-    no_gradient(title, value)
-    try:
-        array = np.asarray(value.cpu() if isinstance(value, Tensor) else value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{title}={value!r} must be three numbers") from error
-    if array.shape != (3,) or not np.isfinite(array).all() or np.abs(array).max() > FARTHEST:
-        raise ValueError(f"{title}={value!r} must be three numbers of at most {FARTHEST:g}")
-    return array.tolist()
 
 
 class RSOPoints(Scenario):

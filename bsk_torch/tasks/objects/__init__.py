@@ -7,7 +7,7 @@ from bsk_torch.tasks.objects.dyn import SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import CatalogRadioFSWModel, SpaceToSpaceImagingFSWModel
 from bsk_torch.tasks.objects.mixture import RSOMixture
 from bsk_torch.tasks.objects.obs import RSOTargetProperties
-from bsk_torch.tasks.objects.order import by_priority_per_second, by_priority_per_second_ahead
+from bsk_torch.tasks.objects.outlook import by_priority_per_second, by_priority_per_second_ahead
 from bsk_torch.tasks.objects.radio import CatalogRadioDynModel
 from bsk_torch.tasks.objects.reward import RSOImageRecord, RSOImageReward
 from bsk_torch.tasks.objects.scene import Order, RSOTargets

@@ -23,15 +23,10 @@ BEHIND = 1e3
 
 
 class Candidates(NamedTuple):
-    """Objects among which n satellites choose, in their order.
+    """Objects among which n satellites choose, in their order."""
 
-    Attributes:
-        place: Numbers of the objects, [n, k]; 0 for those that do not exist.
-        exists: Whether there is an object, [n, k].
-    """
-
-    place: Tensor
-    exists: Tensor
+    place: Tensor  # numbers of the objects, [n, k]; 0 for those that do not exist
+    exists: Tensor  # whether there is an object, [n, k]
 
 
 def in_order(r_TN_N: Tensor, r_BN_N: Tensor, eligible: Tensor) -> Candidates:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient, number, text, whole
+from bsk_torch._checks import number, text, vector, whole
 from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import Elements, elements_to_rv, periapsis_radius
@@ -54,19 +52,6 @@ MOST_TARGETS = 1000
 def _physical_defaults() -> dict[str, float]:
     defaults = {arg.name: arg.default for part in BasicDynamicsModel.all_components() for arg in part.args}
     return {name: float(defaults[name]) for name in sorted(PHYSICAL)}
-
-
-def _three(title: str, value: object, bound: float = math.inf) -> tuple[float, float, float]:
-    no_gradient(title, value)
-    try:
-        array = np.asarray(value.cpu() if isinstance(value, Tensor) else value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{title}={value!r} must be three numbers") from error
-    if array.shape != (3,) or not np.isfinite(array).all() or np.linalg.norm(array) > bound:
-        limit = "" if math.isinf(bound) else f", of a length of at most {bound:g}"
-        raise ValueError(f"{title}={value!r} must be three finite numbers{limit}")
-    x, y, z = array.tolist()
-    return x, y, z
 
 
 def _pairs(title: str, pairs: object) -> tuple[tuple[Any, Any], ...]:
@@ -128,9 +113,9 @@ class RSOTarget:
         title = f"RSOTarget({text('RSOTarget: id', self.id)!r})"
         text(f"{title}: satellite_name", self.satellite_name)
         for name, bound in (("rN", FARTHEST), ("vN", FASTEST)):
-            object.__setattr__(self, name, _three(f"{title}: {name}", getattr(self, name), bound))
+            object.__setattr__(self, name, vector(f"{title}: {name}", getattr(self, name), zero=True, longest=bound))
         for name in ("sigma_init", "omega_init", "wheel_speeds_rpm", "disturbance_torque_Nm"):
-            object.__setattr__(self, name, _three(f"{title}: {name}", getattr(self, name)))
+            object.__setattr__(self, name, vector(f"{title}: {name}", getattr(self, name), zero=True))
         object.__setattr__(self, "priority", number(f"{title}: priority", self.priority, 0.0))
         r_N, v_N = (torch.tensor([part], dtype=torch.float64) for part in (self.rN, self.vN))
         check_orbits(r_N, v_N, lambda _: title)

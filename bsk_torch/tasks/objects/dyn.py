@@ -184,16 +184,18 @@ def check_hold(bus: Bus) -> None:
     bus.rso_image_tick = torch.where(counts, torch.where(done, bus.rso_stored_tick, bus.ticks), bus.rso_image_tick)
     bus.rso_image_quality = torch.where(counts, quality, bus.rso_image_quality)
     bus.rso_image_held = torch.where(counts, held, bus.rso_image_held)
-    ends = done & (bus.rso_ends > 0.0)
+    end_step(bus, done & (bus.rso_ends > 0.0))
+
+
+def end_step(bus: Bus, ends: Tensor) -> None:
+    """Count what ends the step, and stop."""
     bus.images = bus.images + ends.to(torch.float64)
     bus.stop = bus.stop | ends if bus.has("stop") else ends
 
 
 def end_with_image(bus: Bus) -> None:
     """Count an image of the gate that ends the step, and stop."""
-    fired = (bus.instrument_command > 0.0) & (bus.rso_ends > 0.0) & (bus.rso_first <= 0.0)
-    bus.images = bus.images + fired.to(torch.float64)
-    bus.stop = bus.stop | fired if bus.has("stop") else fired
+    end_step(bus, (bus.instrument_command > 0.0) & (bus.rso_ends > 0.0) & (bus.rso_first <= 0.0))
 
 
 def _check_range(args: Values) -> None:

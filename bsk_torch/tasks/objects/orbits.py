@@ -7,7 +7,6 @@ numbers each, and nodes are made for a few. The force model is that of satellite
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -30,26 +29,6 @@ NOT_STARTED = 0
 """Step of objects that have not been looked at in the episode."""
 
 
-class Epoch(NamedTuple):
-    """What is known at time zero, by functions of episodes [n].
-
-    Attributes:
-        et: Returns ET, [n] s.
-        states: Returns positions, m, and velocities, m/s, of the objects in N, [n, G, 3] each.
-    """
-
-    et: Callable[[Tensor], Tensor]
-    states: Callable[[Tensor], tuple[Tensor, Tensor]]
-
-
-class ObjectStates(NamedTuple):
-    """States of k objects for each of n satellites, [n, k, 3] each: position, m, velocity, m/s, and position before, m, in N."""
-
-    r_N: Tensor
-    v_N: Tensor
-    before_N: Tensor
-
-
 class CatalogOrbits(StateTable):
     """Flights of the G objects of each episode: object g of episode e is row ``e * G + g``.
 
@@ -60,10 +39,25 @@ class CatalogOrbits(StateTable):
     flights: Tensor
     steps: Tensor
 
-    def __init__(self, num_envs: int, count: int, solver: Flights, epoch: Epoch) -> None:
-        """Make room for ``count`` objects in each of ``num_envs`` episodes; ``epoch`` gives their states at time zero."""
+    def __init__(
+        self,
+        num_envs: int,
+        count: int,
+        solver: Flights,
+        epoch: Callable[[Tensor], Tensor],
+        beginning: Callable[[Tensor], tuple[Tensor, Tensor]],
+    ) -> None:
+        """Make room for objects.
+
+        Args:
+            num_envs: Number of episodes.
+            count: Number of objects G of each.
+            solver: Solver of their orbits.
+            epoch: Returns ET at time zero, [n] s, of episodes [n].
+            beginning: Returns positions, m, and velocities, m/s, of the objects then in N, [n, G, 3] each, likewise.
+        """
         super().__init__(num_envs, count, solver.device)
-        self.solver, self.epoch = solver, epoch
+        self.solver, self.epoch, self.beginning = solver, epoch, beginning
         self.declare("flights", None, FLOWN_STATE, planes=True, low=-FARTHEST, high=FARTHEST)
         self.declare("steps", NOT_STARTED, low=NOT_STARTED, high=2**53)
 
@@ -92,7 +86,7 @@ class CatalogOrbits(StateTable):
         if most := int(counts.max()):
             index = torch.arange(self.num_envs, device=self.device)
             owner = index.repeat_interleave(self.count)
-            around = _around(self.epoch.et(index), present, most)._replace(owner=owner)
+            around = _around(self.epoch(index), present, most)._replace(owner=owner)
             self.solver.advance(self.flights, present[owner], counts[owner], around)
         self.steps = torch.maximum(present, goal).repeat_interleave(self.count)
         self.touch()
@@ -101,8 +95,8 @@ class CatalogOrbits(StateTable):
         """Start the flights of the objects of episodes ``envs`` [n]."""
         none = torch.zeros(len(envs), dtype=torch.float64, device=self.device)
         owner = torch.arange(len(envs), device=self.device).repeat_interleave(self.count)
-        around = Samples(_records(self.epoch.et(envs), none, 0), none, owner)
-        r_N, v_N = (part.flatten(0, 1) for part in self.epoch.states(envs))
+        around = Samples(_records(self.epoch(envs), none, 0), none, owner)
+        r_N, v_N = (part.flatten(0, 1) for part in self.beginning(envs))
         self.flights[:, self.rows_of(envs)] = self.solver.start(r_N, v_N, around)
 
     def _since(self, time: Tensor) -> Tensor:
@@ -120,8 +114,8 @@ class CatalogOrbits(StateTable):
         flights, now = self.flights[:, envs.unsqueeze(-1) * self.count + place], self._since(time)[envs]
         return Vec3(*positions(flights, now)), Vec3(*velocities(flights, now))
 
-    def states(self, envs: Tensor, place: Tensor, time: Tensor, ago: Tensor) -> ObjectStates:
-        """Return the states of some objects.
+    def states(self, envs: Tensor, place: Tensor, time: Tensor, ago: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return positions, m, and velocities, m/s, of some objects in N, and their positions before, [n, k, 3] each.
 
         Args:
             envs: Episodes of n satellites, [n].
@@ -131,8 +125,8 @@ class CatalogOrbits(StateTable):
         """
         flights = self.flights[:, envs.unsqueeze(-1) * self.count + place]
         now, before = (self._since(moment)[envs] for moment in (time, ago))
-        motion = positions(flights, now), velocities(flights, now), positions(flights, before)
-        return ObjectStates(*(part.movedim(0, -1) for part in motion))
+        r_N, v_N, before_N = positions(flights, now), velocities(flights, now), positions(flights, before)
+        return r_N.movedim(0, -1), v_N.movedim(0, -1), before_N.movedim(0, -1)
 
     def nodes(self, envs: Tensor, place: Tensor, until: Tensor) -> Samples:
         """Return the nodes of n objects, a minute apart, from before the step at which they are to behind ``until`` [n] s.
@@ -146,7 +140,7 @@ class CatalogOrbits(StateTable):
         back = first - step + 2 * torch.arange(PAST_NODES, device=self.device).unsqueeze(-1)
         past = [positions(flights, since.double()).mT for since in back]
         most = int(((until + REACH_AROUND) * (1.0 / MULTISTEP_STEP)).ceil().long().sub(step).max().clamp(min=6)) + 2
-        around = _around(self.epoch.et(envs), step, most)
+        around = _around(self.epoch(envs), step, most)
         ahead = self.solver.fly(flights, step, most, around)
         index = 1 - odd.unsqueeze(-1) + 2 * torch.arange(most // 2, device=self.device)
         nodes = torch.cat([torch.stack(past, 1), ahead.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))], 1)

@@ -68,8 +68,7 @@ from bsk_torch.tasks.objects.dyn import SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import SpaceToSpaceImagingFSWModel
 from bsk_torch.tasks.objects.mixture import RSOMixture
 from bsk_torch.tasks.objects.obs import DEFAULT, EXPECTED_RATE, RSOTargetProperties
-from bsk_torch.tasks.objects.order import by_priority_per_second, by_priority_per_second_ahead
-from bsk_torch.tasks.objects.outlook import expected_rate
+from bsk_torch.tasks.objects.outlook import by_priority_per_second, by_priority_per_second_ahead, expected_rate
 from bsk_torch.tasks.objects.reward import RSOImageReward
 from bsk_torch.tasks.objects.scene import Order, RSOTargets
 from bsk_torch.vec3 import Vec3
@@ -144,16 +143,19 @@ def own_properties() -> tuple[obs.Observation, ...]:
     )
 
 
+def observed(as_set: bool = False, outlook: bool = False) -> tuple[obs.Observation, ...]:
+    """Return the observations of the imager; see :func:`services`."""
+    time, properties = ((obs.Time(),), (*DEFAULT, *OUTLOOK)) if outlook else ((), DEFAULT)
+    return (*own_properties(), *time, RSOTargetProperties(*properties, n_ahead_observe=CANDIDATES, as_set=as_set))
+
+
 class ServicingImager(sats.AccessSatellite):
     """The imager of the study."""
 
     dyn_type = ServicingDynModel
     fsw_type = SpaceToSpaceImagingFSWModel
     shielded = False
-    observation_spec: ClassVar[Sequence[obs.Observation]] = (
-        *own_properties(),
-        RSOTargetProperties(n_ahead_observe=CANDIDATES),
-    )
+    observation_spec: ClassVar[Sequence[obs.Observation]] = observed()
     action_spec: ClassVar[tuple[act.Action, ...]] = (
         act.Charge(duration=300.0),
         act.Downlink(duration=300.0, until_empty=True),
@@ -165,36 +167,6 @@ class ServicingImager(sats.AccessSatellite):
     def legal_actions(self) -> Tensor | None:
         return shield(cast(BoundSatellite, self)) if self.shielded else None
 
-
-class ServicingSetImager(ServicingImager):
-    """The same, observing its candidates as a set."""
-
-    observation_spec = (*own_properties(), RSOTargetProperties(n_ahead_observe=CANDIDATES, as_set=True))
-
-
-class ServicingOutlookImager(ServicingImager):
-    """The same as :class:`ServicingImager`, observing the time, and what can be expected of images."""
-
-    observation_spec = (*own_properties(), obs.Time(), RSOTargetProperties(*DEFAULT, *OUTLOOK, n_ahead_observe=CANDIDATES))
-
-
-class ServicingOutlookSetImager(ServicingImager):
-    """The same as :class:`ServicingOutlookImager`, observing its candidates as a set."""
-
-    observation_spec = (
-        *own_properties(),
-        obs.Time(),
-        RSOTargetProperties(*DEFAULT, *OUTLOOK, n_ahead_observe=CANDIDATES, as_set=True),
-    )
-
-
-KINDS: dict[tuple[bool, bool], type[ServicingImager]] = {
-    (False, False): ServicingImager,
-    (True, False): ServicingSetImager,
-    (False, True): ServicingOutlookImager,
-    (True, True): ServicingOutlookSetImager,
-}
-"""Imagers by ``as_set`` and ``outlook``."""
 
 ORDERS: dict[str, Order | None] = {
     "elevation": None,
@@ -309,8 +281,8 @@ def services(
         failure_penalty=-1.0,
         terminate_on_time_limit=False,
     )
-    kind = KINDS[switch("as_set", as_set), switch("outlook", outlook)]
+    spec = observed(switch("as_set", as_set), switch("outlook", outlook))
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
-    satellite = kind("SS1", servicing_args() | (sat_args or {}), obs_type=observed_as)
+    satellite = ServicingImager("SS1", servicing_args() | (sat_args or {}), obs_type=observed_as, observation_spec=spec)
     satellite.shielded = switch("shielded", shielded)
     return SatelliteTasking(satellite, **(defaults | options))

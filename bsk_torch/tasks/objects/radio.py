@@ -10,7 +10,7 @@ from torch import Tensor
 from bsk_torch.astro.sight import line_clearance
 from bsk_torch.sim.component import Bus, Component, Field
 from bsk_torch.sim.dyn.power.balance import power_arg
-from bsk_torch.tasks.objects.dyn import HELD, SpaceToSpaceImagingDynModel
+from bsk_torch.tasks.objects.dyn import HELD, SpaceToSpaceImagingDynModel, end_step
 
 LINK_FIELDS = (
     Field("radio_armed", 1, "-", "1 from the command to transmit until the packet has been sent, else 0"),
@@ -45,8 +45,7 @@ def transmit_packet(bus: Bus) -> None:
     off = torch.zeros_like(bus.radio_valid)
     bus.radio_valid = torch.where(valid & ~sent, torch.ones_like(off), off)
     bus.radio_armed = torch.where(sent, torch.zeros_like(bus.radio_armed), bus.radio_armed)
-    bus.images = bus.images + sent.to(torch.float64)
-    bus.stop = bus.stop | sent if bus.has("stop") else sent
+    end_step(bus, sent)
 
 
 def draw_power(bus: Bus) -> None:

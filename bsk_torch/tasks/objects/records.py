@@ -30,48 +30,27 @@ class RecordBook(StateTable):
     who has relayed them. A *request epoch* of a target counts the requests for it: records of an older epoch do not count.
 
     N is the number of episodes, R that of records, A that of sensors, G that of targets.
-
-    Attributes:
-        target: Target of each record, [N, R]; :data:`NONE` where there is no record.
-        source: Sensor that has captured it, [N, R].
-        epoch: Epoch of the target at that time, [N, R].
-        capture: Time of the capture, [N, R] s.
-        completion: End of the step in which the exposure was completed, [N, R] s.
-        delivery: Time of the delivery, [N, R] s; ``FINITE`` before.
-        known: Version of each record that each sensor knows, [N, R, A] int8.
-        received: Time at which each sensor learned of the capture and of the delivery, [N, R, A, 2] s; ``FINITE`` before.
-        told: Version that the third index knows the fourth to have, [N, R, A, A] int8.
-        exchanged: Time of the last message from the first to the second sensor, [N, A, A] s; :data:`AGO` before.
-        epochs: Present epochs of the targets, [N, G].
-        packet: Versions of records in the packet that each sensor is sending, or has sent last, [N, R, A] int8.
-        receiver: Sensor to which it is sent, [N, A].
-        queue: Packets on their way, [N, R, A, slots] int8, which a communicator declares; likewise the next four.
-        queue_receiver: Their receivers, [N, A, slots].
-        queue_time: Times at which they have been sent, [N, A, slots] s; ``FINITE`` for places without a packet.
-        queue_number: Number of packets that their senders had sent before, [N, A, slots].
-        sent: Number of packets that each sensor has sent, [N, A].
-        slots: Places of each sensor in the queue; 0 where no communicator delivers packets, so that links stand for all that is
-            known.
     """
 
-    target: Tensor
-    source: Tensor
-    epoch: Tensor
-    capture: Tensor
-    completion: Tensor
-    delivery: Tensor
-    known: Tensor
-    received: Tensor
-    told: Tensor
-    exchanged: Tensor
-    epochs: Tensor
-    packet: Tensor
-    receiver: Tensor
-    queue: Tensor
-    queue_receiver: Tensor
-    queue_time: Tensor
-    queue_number: Tensor
-    sent: Tensor
+    target: Tensor  # target of each record, [N, R]; NONE where there is no record
+    source: Tensor  # sensor that has captured it, [N, R]
+    epoch: Tensor  # epoch of the target at that time, [N, R]
+    capture: Tensor  # time of the capture, [N, R] s
+    completion: Tensor  # end of the step in which the exposure was completed, [N, R] s
+    delivery: Tensor  # time of the delivery, [N, R] s; FINITE before
+    known: Tensor  # version of each record that each sensor knows, [N, R, A] int8
+    received: Tensor  # time at which each sensor learned of the capture and of the delivery, [N, R, A, 2] s; FINITE before
+    told: Tensor  # version that the third index knows the fourth to have, [N, R, A, A] int8
+    exchanged: Tensor  # time of the last message from the first to the second sensor, [N, A, A] s; AGO before
+    epochs: Tensor  # present epochs of the targets, [N, G]
+    packet: Tensor  # versions of records in the packet that each sensor is sending, or has sent last, [N, R, A] int8
+    receiver: Tensor  # sensor to which it is sent, [N, A]
+    queue: Tensor  # packets on their way, [N, R, A, slots] int8, which a communicator declares; likewise the next four
+    queue_receiver: Tensor  # their receivers, [N, A, slots]
+    queue_time: Tensor  # times at which they have been sent, [N, A, slots] s; FINITE for places without a packet
+    queue_number: Tensor  # number of packets that their senders had sent before, [N, A, slots]
+    sent: Tensor  # number of packets that each sensor has sent, [N, A]
+    # places of each sensor in the queue; 0 where no communicator delivers packets, so that links stand for all that is known
     slots: int
 
     def __init__(self, num_envs: int, sensors: int, targets: int, device: torch.device | str = "cpu") -> None:

@@ -74,16 +74,6 @@ RewardFunction = Callable[[RSOImageRecord, RSOImageTarget], Tensor]
 """Returns the reward of each image, [N, R]."""
 
 
-def nothing(record: RSOImageRecord, target: RSOImageTarget) -> Tensor:
-    """Return zero, the reward of an acquisition by default."""
-    return torch.zeros_like(record.quality)
-
-
-def its_priority(record: RSOImageRecord, target: RSOImageTarget) -> Tensor:
-    """Return the priority of the target, the reward of a delivery by default."""
-    return target.priority
-
-
 @dataclass(frozen=True)
 class Share:
     """Reward of images: a share of the priority of the target."""
@@ -157,21 +147,16 @@ class RSOImageReward(GlobalReward):
             advance: Share of the priority that they pay in advance, likewise; for one imager.
         """
         self.advance = number("advance", advance, 0.0, 1.0)
-        if self.advance > 0.0:
-            if delivery_share not in (None, 1.0):
-                raise ValueError(f"delivery_share={delivery_share!r} and advance={advance!r}: give one of them")
-            delivery_share = 1.0
-        if delivery_share is not None:
-            if acquisition_reward_fn is not None or delivery_reward_fn is not None:
-                raise ValueError("delivery_share and functions of rewards exclude one another; give one of them")
-            share = number("delivery_share", delivery_share, 0.0, 1.0)
-            acquisition_reward_fn, delivery_reward_fn = Share(self.advance or 1.0 - share), Share(share)
-        what = "record and target"
-        self.acquisition_reward_fn = (
-            nothing if acquisition_reward_fn is None else function("acquisition_reward_fn", acquisition_reward_fn, what)
-        )
-        self.delivery_reward_fn = (
-            its_priority if delivery_reward_fn is None else function("delivery_reward_fn", delivery_reward_fn, what)
+        if self.advance > 0.0 and delivery_share not in (None, 1.0):
+            raise ValueError(f"delivery_share={delivery_share!r} and advance={advance!r}: give one of them")
+        fns = {"acquisition_reward_fn": acquisition_reward_fn, "delivery_reward_fn": delivery_reward_fn}
+        if (self.advance > 0.0 or delivery_share is not None) and any(fn is not None for fn in fns.values()):
+            raise ValueError("delivery_share and functions of rewards exclude one another; give one of them")
+        share = 1.0 if delivery_share is None else number("delivery_share", delivery_share, 0.0, 1.0)
+        shares = Share(self.advance or 1.0 - share), Share(share)
+        self.acquisition_reward_fn, self.delivery_reward_fn = (
+            default if fn is None else function(name, fn, "record and target")
+            for (name, fn), default in zip(fns.items(), shares, strict=True)
         )
         self.quality_threshold = number("quality_threshold", quality_threshold, 0.0, 1.0)
         self.cooldown_s = number("cooldown_s", cooldown_s, 0.0, 1e12, unit="s")

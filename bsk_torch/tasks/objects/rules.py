@@ -19,8 +19,7 @@ from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.tasks.objects.candidates import HIGHEST, LOWEST, Views
 from bsk_torch.tasks.objects.obs import EXPECTED_RATE
-from bsk_torch.tasks.objects.order import PER_DEGREE, START, by_priority_per_second, by_priority_per_second_ahead
-from bsk_torch.tasks.objects.outlook import LIT
+from bsk_torch.tasks.objects.outlook import LIT, PER_DEGREE, START, by_priority_per_second, by_priority_per_second_ahead
 from bsk_torch.tasks.objects.scene import Order, RSOTargets
 
 LEAST_PRIORITY = 1e-6
@@ -96,9 +95,13 @@ ORDERS: dict[str, Order] = {
 """Rules over the whole catalog by name: the first eligible object of the order is imaged."""
 
 
-def priority_of(see: TargetReader, observation: Observation) -> Tensor:
-    """Return the priorities of candidates, [..., n]."""
-    return see.read(observation, "priority")
+Worth = Callable[[TargetReader, Observation], Tensor]
+"""Returns the worth of observed candidates, [..., n]."""
+
+
+def observed(prop: str) -> Worth:
+    """Return the worth that is an observed property."""
+    return lambda see, observation: see.read(observation, prop)
 
 
 def rate_of(see: TargetReader, observation: Observation) -> Tensor:
@@ -110,25 +113,17 @@ def rate_of(see: TargetReader, observation: Observation) -> Tensor:
     return lit * see.read(observation, "priority") / (START + PER_DEGREE * see.read(observation, "angle_to_target"))
 
 
-def expected_rate_of(see: TargetReader, observation: Observation) -> Tensor:
-    """Return the priorities per second that can be expected of images, [..., n]; zero for those in the dark or out of sight.
-
-    As in :func:`~bsk_torch.tasks.objects.by_priority_per_second_ahead`.
-    """
-    return see.read(observation, EXPECTED_RATE)
-
-
 def sighted_rate_of(see: TargetReader, observation: Observation) -> Tensor:
     """Return what :func:`rate_of` does, [..., n], but zero also for candidates that the Earth hides."""
     return see.read(observation, "in_sight") * rate_of(see, observation)
 
 
-WORTHS: dict[str, Callable[[TargetReader, Observation], Tensor]] = {
-    "candidate_priority": priority_of,
+WORTHS: dict[str, Worth] = {
+    "candidate_priority": observed("priority"),
     "candidate_rate": rate_of,
-    "candidate_rate_ahead": expected_rate_of,
+    "candidate_rate_ahead": observed(EXPECTED_RATE),
     "prompt": sighted_rate_of,
-    "prompt_ahead": expected_rate_of,
+    "prompt_ahead": observed(EXPECTED_RATE),
 }
 """Rules over the observed candidates by name: the candidate of the largest worth is imaged."""
 
@@ -139,21 +134,19 @@ IDLE = dict.fromkeys(("prompt", "prompt_ahead"), ("action_desat", TEAMWORK))
 """Action of rules without an object, and their upkeep, where these are not charging and the default."""
 
 
+Choice = Callable[[Observation, Tensor], tuple[Tensor, Tensor]]
+"""Returns the action that images the best object, and whether there is one, [...] each, for an observation and legal actions."""
+
+
 @dataclass(frozen=True)
 class ServicingRule:
-    """Images the best object, and otherwise keeps battery, wheels and store in order; without an object, it waits.
-
-    Attributes:
-        satellite: The imagers of an environment, which the rule commands.
-        choose: Returns the action that images the best object, and whether there is one, for an observation and legal actions.
-        upkeep: When the satellite does something else.
-        wait: Name of the action without an object.
-    """
+    """Images the best object, and otherwise keeps battery, wheels and store in order; without an object, it waits."""
 
     satellite: BoundSatellite
-    choose: Callable[[Observation, Tensor], tuple[Tensor, Tensor]]
-    upkeep: Upkeep = Upkeep()
-    wait: str = "action_charge"
+    choose: Choice
+    upkeep: Upkeep
+    wait: str
+    """Action without an object."""
 
     def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
         """Return actions [...] for observations [..., F] and legal actions [..., A].
@@ -170,8 +163,8 @@ class ServicingRule:
         return wish
 
 
-def first_of_catalog(satellite: BoundSatellite, order: Order) -> Callable[[Observation, Tensor], tuple[Tensor, Tensor]]:
-    """Return the choice of the first eligible object in an order of the whole catalog; see :attr:`ServicingRule.choose`.
+def first_of_catalog(satellite: BoundSatellite, order: Order) -> Choice:
+    """Return the choice of the first eligible object in an order of the whole catalog.
 
     It raises ValueError for observations of another environment.
     """
@@ -193,10 +186,8 @@ def first_of_catalog(satellite: BoundSatellite, order: Order) -> Callable[[Obser
     return choose
 
 
-def best_candidate(
-    see: TargetReader, images: range, worth: Callable[[TargetReader, Observation], Tensor]
-) -> Callable[[Observation, Tensor], tuple[Tensor, Tensor]]:
-    """Return the choice of the legal candidate of the largest positive worth; see :attr:`ServicingRule.choose`."""
+def best_candidate(see: TargetReader, images: range, worth: Worth) -> Choice:
+    """Return the choice of the legal candidate of the largest positive worth."""
 
     def choose(observation: Observation, action_mask: Tensor) -> tuple[Tensor, Tensor]:
         legal = action_mask[..., images.start : images.stop]

@@ -32,7 +32,7 @@ from bsk_torch.tasks.objects.candidates import Candidates, Moment, Views, in_ord
 from bsk_torch.tasks.objects.catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
 from bsk_torch.tasks.objects.dyn import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import SpaceToSpaceImagingFSWModel
-from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch, ObjectStates
+from bsk_torch.tasks.objects.orbits import CatalogOrbits
 from bsk_torch.tasks.objects.outlook import Outlook, elevation, image_end
 from bsk_torch.tasks.objects.records import RecordBook
 from bsk_torch.vec3 import Vec3
@@ -217,9 +217,8 @@ class RSOTargets(Scenario):
         self.imager_columns = [column for k in self.imager_types for column in fleet.columns[k].tolist()]
         first = fleet.simulators[0]
         solver = make_flights(first.h, first.type.options.backend, fleet.device, first.type.gravity_degree)
-        epoch = Epoch(lambda envs: self._et[envs], self._states)
         followed = len(self.imager_columns) if self.knowledge == "own" else 0
-        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets + followed, solver, epoch)
+        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets + followed, solver, lambda envs: self._et[envs], self._states)
         fleet.memory.add("rso_orbits", self.orbits)
         self.memory.declare(PENDING, 0, self.n_targets, low=0)
         self.memory.declare(COOLDOWN, 0.0, self.n_targets, low=-FINITE, high=FINITE)
@@ -447,7 +446,7 @@ class RSOTargets(Scenario):
         clear = candidates.exists & self._clear(satellite, end.r_TN_N, end.r_BN_N)
         return Outlook(end.duration, elevation(end.r_TN_N, end.r_BN_N), light, clear.double())
 
-    def _states_of(self, satellite: BoundSatellite, candidates: Candidates) -> ObjectStates:
+    def _states_of(self, satellite: BoundSatellite, candidates: Candidates) -> tuple[Tensor, Tensor, Tensor]:
         """Return the states of the candidates of each satellite of a type, now and one tick ago."""
         now = self.fleet.sim_time
         self._positions()  # which catch up

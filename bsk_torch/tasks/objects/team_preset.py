@@ -63,7 +63,7 @@ Random at reset: orbits and priorities of the objects, the latter with a sum of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -75,7 +75,6 @@ from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.sim.dyn.events import LEFT_OVER
 from bsk_torch.sim.names import one_of
-from bsk_torch.tasks.objects.act import ImageRSO
 from bsk_torch.tasks.objects.comm import CatalogCommunication
 from bsk_torch.tasks.objects.fsw import CatalogRadioFSWModel
 from bsk_torch.tasks.objects.obs import RSOTargetProperties
@@ -87,6 +86,7 @@ from bsk_torch.tasks.objects.preset import (
     ORDERS,
     OUTLOOK,
     ServicingDynModel,
+    ServicingImager,
     own_properties,
     servicing_args,
     servicing_catalog,
@@ -129,35 +129,16 @@ CANDIDATE = (
 SIGHTED = (*CANDIDATE, dict(prop="in_sight"))
 """The same, and what the studies do not observe: whether the Earth is not in the way."""
 
-CANDIDATE_SET = RSOTargetProperties(*SIGHTED, n_ahead_observe=CANDIDATES, as_set=True)
-"""Candidates as a set."""
-
-OUTLOOK_SET = RSOTargetProperties(*SIGHTED, *OUTLOOK, n_ahead_observe=CANDIDATES, as_set=True)
-"""Candidates as a set, with what can be expected of images."""
-
 
 class SensorDynModel(CatalogRadioDynModel, ServicingDynModel):
     """Dynamics of an imager of objects in orbit with a radio to other imagers."""
 
 
-class Sensor(sats.AccessSatellite):
+class Sensor(ServicingImager):
     """Images objects in orbit, and knows its images and those that it is told of."""
 
     dyn_type = SensorDynModel
     fsw_type = CatalogRadioFSWModel
-    observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
-        *own_properties(),
-        RSOTaskStatus(norm=LONG),
-        RSOTargetProperties(*CANDIDATE, n_ahead_observe=CANDIDATES),
-    )
-    action_spec: ClassVar[tuple[act.Action, ...]] = (
-        act.Charge(duration=300.0),
-        act.Downlink(duration=300.0, until_empty=True),
-        act.Desat(duration=150.0),
-        ImageRSO(CANDIDATES, exposure="first", require_illumination_during_hold=False),
-    )
-    shielded = False
-    """Whether ``action_mask`` excludes downlinks with an empty store."""
 
     @override
     def legal_actions(self) -> Tensor | None:
@@ -168,62 +149,16 @@ class Sensor(sats.AccessSatellite):
         return act.forbid(satellite.action_description, "action_downlink", where=empty)
 
 
-class SensorOfThree(Sensor):
-    """One of three that tell each other of images."""
-
-    observation_spec = (*Sensor.observation_spec, RSOPeers(2))
-    action_spec = (*Sensor.action_spec, TransmitCatalog(2))
-
-
-class SensorOfFour(Sensor):
-    """One of four that tell each other of images."""
-
-    observation_spec = (*Sensor.observation_spec, RSOPeers(3))
-    action_spec = (*Sensor.action_spec, TransmitCatalog(3))
-
-
-class SetSensor(Sensor):
-    """The same as :class:`Sensor`, observing its candidates as a set."""
-
-    observation_spec = (*Sensor.observation_spec[:-1], CANDIDATE_SET)
-
-
-class SetSensorOfThree(SensorOfThree):
-    """The same as :class:`SensorOfThree`, observing its candidates as a set."""
-
-    observation_spec = (*SetSensor.observation_spec, RSOPeers(2))
-
-
-class SetSensorOfFour(SensorOfFour):
-    """The same as :class:`SensorOfFour`, observing its candidates as a set."""
-
-    observation_spec = (*SetSensor.observation_spec, RSOPeers(3))
-
-
-class OutlookSensor(Sensor):
-    """The same as :class:`SetSensor`, observing the time, and what can be expected of images."""
-
-    observation_spec = (*Sensor.observation_spec[:-1], obs.Time(), OUTLOOK_SET)
-
-
-class OutlookSensorOfThree(SensorOfThree):
-    """The same as :class:`SetSensorOfThree`, observing the time, and what can be expected of images."""
-
-    observation_spec = (*OutlookSensor.observation_spec, RSOPeers(2))
-
-
-class OutlookSensorOfFour(SensorOfFour):
-    """The same as :class:`SetSensorOfFour`, observing the time, and what can be expected of images."""
-
-    observation_spec = (*OutlookSensor.observation_spec, RSOPeers(3))
-
-
-KINDS = {
-    0: (Sensor, SetSensor, OutlookSensor),
-    3: (SensorOfThree, SetSensorOfThree, OutlookSensorOfThree),
-    4: (SensorOfFour, SetSensorOfFour, OutlookSensorOfFour),
-}
-"""Sensors that observe candidates in one vector, as a set, or as a set with an outlook, by the number of those with a radio."""
+def observed(peers: int, as_set: bool = False, outlook: bool = False) -> tuple[obs.Observation, ...]:
+    """Return the observations of a sensor that tells so many ``peers`` of images; for the other arguments, see the presets."""
+    properties = (*SIGHTED, *(OUTLOOK if outlook else ())) if as_set else CANDIDATE
+    return (
+        *own_properties(),
+        RSOTaskStatus(norm=LONG),
+        *((obs.Time(),) if outlook else ()),
+        RSOTargetProperties(*properties, n_ahead_observe=CANDIDATES, as_set=as_set),
+        *((RSOPeers(peers),) if peers else ()),
+    )
 
 
 def team(
@@ -249,11 +184,13 @@ def team(
     common = servicing_args() | dict(storedCharge_Init=0.9 * BATTERY, wheelSpeeds=[0.0, 0.0, 0.0])
     if switch("outlook", outlook) and not switch("as_set", as_set):
         raise ValueError("outlook=True needs as_set=True: what is expected of images is observed of candidates in a set")
-    kind = KINDS[len(names) if information == "radio" else 0][as_set + outlook]
-    observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
-    satellites = [
-        kind(name, common | orbit | (sat_args or {}), obs_type=observed_as) for name, orbit in zip(names, orbits, strict=True)
-    ]
+    peers = len(names) - 1 if information == "radio" else 0
+    settings: dict[str, Any] = dict(
+        obs_type=(dict if as_set else torch.Tensor) if obs_type is None else obs_type,
+        observation_spec=observed(peers, as_set, outlook),
+        action_spec=(*Sensor.action_spec, *((TransmitCatalog(peers),) if peers else ())),
+    )
+    satellites = [Sensor(name, common | orbit | (sat_args or {}), **settings) for name, orbit in zip(names, orbits, strict=True)]
     for satellite in satellites:
         satellite.shielded = switch("shielded", shielded)
     catalog = servicing_catalog(n_targets, mixture, exact_mixture=True, priority_event=False)

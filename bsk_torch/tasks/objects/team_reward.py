@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -27,22 +27,6 @@ STAGES = ("acquisition", "delivery")
 
 NO_ATTEMPT = 0
 """Deadline of an imager that does not try to take an image."""
-
-
-class _Attempts(NamedTuple):
-    """What imagers are doing in a step, [N, A] each.
-
-    Attributes:
-        target: Target of the attempt.
-        deadline: Tick of its deadline; :data:`NO_ATTEMPT` where there is none.
-        idle: Duration of the step for which a service of the target by others had made the attempt useless, s.
-        useful: The rest of the time of the attempt in the step, s.
-    """
-
-    target: Tensor
-    deadline: Tensor
-    idle: Tensor
-    useful: Tensor
 
 
 class RSOTeamReward(RSOImageReward):
@@ -136,10 +120,10 @@ class RSOTeamReward(RSOImageReward):
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        attempts = self._attempts(after)
+        attempts = self._attempts(after)  # before images of the step are recorded
         reward = super().calculate_reward(before, after)
         captures = (after["rso_images"] > before["rso_images"])[:, self._columns]
-        self._count_waste(attempts, captures)
+        self._count_waste(*attempts, captures)
         return reward
 
     @override
@@ -202,8 +186,13 @@ class RSOTeamReward(RSOImageReward):
 
     # -- waste --------------------------------------------------------------------------------------------------------
 
-    def _attempts(self, after: Log) -> _Attempts:
-        """Return the attempts of imagers in the step that has ended; records are those of its beginning."""
+    def _attempts(self, after: Log) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the attempts of imagers in the step that has ended, [N, A] each; records are those of its beginning.
+
+        Returns:
+            Tick of the deadline, :data:`NO_ATTEMPT` without an attempt; time in the step for which a service of the target by
+            others had made the attempt useless, s; the rest of the time of the attempt in the step, s.
+        """
         scenario, fleet = self.scenario, self.fleet
         target = after["target"][:, self._columns].clamp(min=0)
         deadline = after["deadline"][:, self._columns]
@@ -216,18 +205,17 @@ class RSOTeamReward(RSOImageReward):
         true_end = look_up(latest.amax(1), target) + cooldown
         start, end = begin.double() * fleet.h, ends.double() * fleet.h
         idle = torch.where(tries & (sensor_end <= start), (torch.minimum(true_end, end) - start).clamp(min=0.0), 0.0)
-        return _Attempts(target, torch.where(tries, deadline, NO_ATTEMPT), idle, torch.where(tries, end - start - idle, 0.0))
+        return torch.where(tries, deadline, NO_ATTEMPT), idle, torch.where(tries, end - start - idle, 0.0)
 
-    def _count_waste(self, attempts: _Attempts, captures: Tensor) -> None:
+    def _count_waste(self, deadline: Tensor, idle: Tensor, useful: Tensor, captures: Tensor) -> None:
         """Add the time wasted in a step; ``captures`` [N, A] imagers took an image in it."""
         memory = self.memory
-        before, useful = memory["rso_attempt_deadline"], memory["rso_attempt_useful"]
-        given_up = (before != NO_ATTEMPT) & (attempts.deadline != before)
-        useful = torch.where(attempts.deadline == before, useful, 0.0)
-        wasted = attempts.idle + torch.where(given_up, memory["rso_attempt_useful"], 0.0)
-        ends = captures | (attempts.deadline <= self.fleet.ticks.unsqueeze(1))
-        memory["rso_attempt_deadline"] = torch.where(ends, NO_ATTEMPT, attempts.deadline)
-        memory["rso_attempt_useful"] = torch.where(ends, 0.0, useful + attempts.useful)
+        before, earlier = memory["rso_attempt_deadline"], memory["rso_attempt_useful"]
+        continues = deadline == before
+        wasted = idle + torch.where(~continues & (before != NO_ATTEMPT), earlier, 0.0)
+        ends = captures | (deadline <= self.fleet.ticks.unsqueeze(1))
+        memory["rso_attempt_deadline"] = torch.where(ends, NO_ATTEMPT, deadline)
+        memory["rso_attempt_useful"] = torch.where(ends, 0.0, torch.where(continues, earlier, 0.0) + useful)
         memory["rso_wasted"] = memory["rso_wasted"].index_add(1, self._columns, wasted)
 
     # -- knowledge ----------------------------------------------------------------------------------------------------

@@ -37,21 +37,13 @@ KNOWN_RANK = 1e3
 
 
 class Choices(NamedTuple):
-    """Candidates of A imagers, [N, A, K] each.
+    """Candidates of A imagers, [N, A, K] each."""
 
-    Attributes:
-        target: Number of the target.
-        may: Whether it can be imaged now: it exists, and is in sight and lit.
-        new: Whether the imager knows no capture of it.
-        angle: Angle from the instrument, degrees.
-        priority: Priority.
-    """
-
-    target: Tensor
-    may: Tensor
-    new: Tensor
-    angle: Tensor
-    priority: Tensor
+    target: Tensor  # number of the target
+    may: Tensor  # whether it can be imaged now: it exists, and is in sight and lit
+    new: Tensor  # whether the imager knows no capture of it
+    angle: Tensor  # angle from the instrument, degrees
+    priority: Tensor  # priority
 
 
 class TeamRule:

@@ -37,7 +37,7 @@ which costs nothing; and the episode ends for all as soon as it does for one, so
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -54,7 +54,7 @@ from bsk_torch.sim import fsw
 from bsk_torch.sim.names import one_of
 from bsk_torch.sim.state import FINITE
 from bsk_torch.tasks.safe_autonomy.act import HeldThrust
-from bsk_torch.tasks.safe_autonomy.assurance import DOCKING, Backup, Barriers
+from bsk_torch.tasks.safe_autonomy.assurance import DOCKING, Assurance, Backup, Barriers
 from bsk_torch.tasks.safe_autonomy.dyn import MEAN_MOTION, DockingDynModel
 from bsk_torch.tasks.safe_autonomy.lit_points import squares
 
@@ -203,38 +203,20 @@ class DockingDeputy(sats.Satellite):
     fsw_type = fsw.FSWModel
 
 
-class BarrierDockingDeputy(DockingDeputy):
-    """The same with an active-set invariance filter."""
-
-    action_spec = (HeldThrust(assurance=Barriers(DOCKING)),)
-
-
-class SimplexDockingDeputy(DockingDeputy):
-    """The same with a backup controller, for the next second."""
-
-    action_spec = (HeldThrust(assurance=Backup(DOCKING)),)
-
-
-class ImplicitSimplexDockingDeputy(DockingDeputy):
-    """The same with a backup controller that must stay safe for 5 s."""
-
-    action_spec = (HeldThrust(assurance=Backup(DOCKING, window=5.0)),)
-
-
-DEPUTIES: dict[str | None, type[sats.Satellite]] = {
-    None: DockingDeputy,
-    "asif": BarrierDockingDeputy,
-    "simplex": SimplexDockingDeputy,
-    "implicit_simplex": ImplicitSimplexDockingDeputy,
+FILTERS: dict[str | None, Assurance | None] = {
+    None: None,
+    "asif": Barriers(DOCKING),
+    "simplex": Backup(DOCKING),
+    "implicit_simplex": Backup(DOCKING, window=5.0),
 }
-"""Deputies by the name of their run-time assurance."""
+"""Filters by the name of their run-time assurance."""
 
 
-def assured(deputies: dict[str | None, type[sats.Satellite]], assurance: str | None) -> type[sats.Satellite]:
-    """Return the deputy with a filter; ValueError for an unknown name."""
+def assured(filters: Mapping[str | None, Assurance | None], assurance: str | None) -> tuple[act.ContinuousAction, ...]:
+    """Return the action of a deputy with a filter; ValueError for an unknown name."""
     if assurance is not None:
-        one_of("assurance", assurance, [name for name in deputies if name is not None])
-    return deputies[assurance]
+        one_of("assurance", assurance, [name for name in filters if name is not None])
+    return (HeldThrust(assurance=filters[assurance]),)
 
 
 def deputy_args() -> dict[str, Any]:
@@ -259,9 +241,10 @@ def cw_docking(
         **options: Arguments of the environment that replace those of the preset.
     """
     arguments = deputy_args() | dict(relative_position=Polar(100.0, 150.0), speedLimitDistance=0.5, dockingRadius=0.2)
-    deputy, arguments = assured(DEPUTIES, assurance), arguments | (sat_args or {})
+    arguments, thrust = arguments | (sat_args or {}), assured(FILTERS, assurance)
     if whole("deputies", deputies, 1) == 1:
         single: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
-        return SatelliteTasking(deputy("Deputy", arguments), **(single | options))
+        return SatelliteTasking(DockingDeputy("Deputy", arguments, action_spec=thrust), **(single | options))
     crew: dict[str, Any] = dict(rewarder=CrewDockingReward(), time_limit=LIMIT, failure_penalty=-1.0)
-    return ConstellationTasking([deputy(name, arguments) for name in names_of(deputies)], **(crew | options))
+    satellites = [DockingDeputy(name, arguments, action_spec=thrust) for name in names_of(deputies)]
+    return ConstellationTasking(satellites, **(crew | options))

@@ -225,31 +225,6 @@ class InspectionDeputy(sats.Satellite):
     fsw_type = fsw.FSWModel
 
 
-class BarrierInspectionDeputy(InspectionDeputy):
-    """The same with an active-set invariance filter."""
-
-    action_spec = (HeldThrust(assurance=Barriers(INSPECTION)),)
-
-
-class CrewInspectionDeputy(InspectionDeputy):
-    """A deputy of several."""
-
-    observation_spec = (properties(points_found),)
-
-
-class BarrierCrewInspectionDeputy(CrewInspectionDeputy):
-    """The same with an active-set invariance filter that also keeps deputies apart."""
-
-    action_spec = (HeldThrust(assurance=crew_barriers),)
-
-
-CREW: dict[str | None, type[sats.Satellite]] = {None: CrewInspectionDeputy, "asif": BarrierCrewInspectionDeputy}
-"""Deputies of several by the name of their run-time assurance."""
-
-DEPUTIES: dict[str | None, type[sats.Satellite]] = {None: InspectionDeputy, "asif": BarrierInspectionDeputy}
-"""Deputies by the name of their run-time assurance."""
-
-
 def cw_inspection(
     *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, object] | None = None, **options: object
 ) -> SatelliteTasking | ConstellationTasking:
@@ -269,10 +244,13 @@ def cw_inspection(
         keepOutRadius=15.0,
     )
     common: dict[str, Any] = dict(sim_rate=10.0, time_limit=12236.0, failure_penalty=-1.0)
-    if whole("deputies", deputies, 1) == 1:
-        deputy = assured(DEPUTIES, assurance)("Deputy", arguments | (sat_args or {}))
+    filters = {None: None, "asif": Barriers(INSPECTION) if whole("deputies", deputies, 1) == 1 else crew_barriers}
+    settings: dict[str, Any] = dict(action_spec=assured(filters, assurance))
+    if deputies == 1:
+        deputy = InspectionDeputy("Deputy", arguments | (sat_args or {}), **settings)
         return SatelliteTasking(deputy, **(common | dict(rewarder=LitPointsReward()) | options))
     arguments = arguments | dict(relative_velocity=Polar(0.0, FASTEST)) | (sat_args or {})
     crew = common | dict(rewarder=CrewLitPointsReward(), sat_arg_randomizer=SharedSun(arguments.pop("sunAngle")))
-    kind = assured(CREW, assurance)
-    return ConstellationTasking([kind(name, arguments) for name in names_of(deputies)], **(crew | options))
+    settings["observation_spec"] = (properties(points_found),)
+    satellites = [InspectionDeputy(name, arguments, **settings) for name in names_of(deputies)]
+    return ConstellationTasking(satellites, **(crew | options))

@@ -60,14 +60,11 @@ Random at reset: orbit; places, sizes, values and directions of sites; risks and
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import torch
-
-from bsk_torch import formations, obs, rand
+from bsk_torch import formations, rand
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
-from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, AgileSatellite, agile_args, agile_environment, targets_ahead
+from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SOON, AgileSatellite, agile_args, agile_environment, imagers, looking_ahead
 from bsk_torch.tasks.sites.obs import SITE, TEAM
 from bsk_torch.tasks.sites.reward import CompletionReward
 from bsk_torch.tasks.sites.scene import Sites
@@ -85,19 +82,7 @@ SLOW: dict[str, object] = dict(u_max=0.1, omega_max=math.radians(2.0))
 """Largest torque of a wheel, N m, and largest rate, rad/s: a turn to a neighboring image takes 20 s, one of 30 degrees 60 s."""
 
 
-class SitesSatellite(AgileSatellite):
-    """Observes the next 32 images and takes one of them."""
-
-    observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE), obs.Time())
-
-
-class SitesSetSatellite(SitesSatellite):
-    """The same, with images as a set, for permutation-invariant policies."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*SITE, as_set=True), obs.Time())
-
-
-class TeamSatellite(SitesSatellite):
+class TeamSatellite(AgileSatellite):
     """Observes also what other satellites do, and can do.
 
     Attributes:
@@ -105,13 +90,6 @@ class TeamSatellite(SitesSatellite):
     """
 
     slew: ClassVar[float] = 45.0
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*TEAM), obs.Time())
-
-
-class TeamSetSatellite(TeamSatellite):
-    """The same, with images as a set."""
-
-    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(*TEAM, as_set=True), obs.Time())
 
 
 def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> SatelliteTasking:
@@ -124,7 +102,9 @@ def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> S
             ``sat_args`` of the satellite.
     """
     arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
-    return agile_environment((SitesSatellite, SitesSetSatellite), arguments, as_set, _parts(n_sites) | options)
+    options = _parts(n_sites) | options
+    (satellite,) = imagers(AgileSatellite, ["EO1"], arguments, options, **looking_ahead(*SITE, as_set=as_set))
+    return agile_environment(satellite, options)
 
 
 def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SITES, **options: Any) -> ConstellationTasking:
@@ -137,10 +117,9 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellites.
     """
-    kind = TeamSetSatellite if as_set else TeamSatellite
-    arguments = {name: value for name, value in agile_args().items() if name != "oe"} | options.pop("sat_args", {})
-    obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
-    satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
+    arguments = {name: value for name, value in agile_args().items() if name != "oe"}
+    names = [f"EO{k + 1}" for k in range(n_satellites)]
+    satellites = imagers(TeamSatellite, names, arguments, options, **looking_ahead(*TEAM, as_set=as_set))
     train = formations.train_args(APART, altitude=ALTITUDE / 1e3, inc=INCLINATION)
     parts = dict(
         sat_arg_randomizer=train, sim_rate=0.5, max_step_duration=SOON, failure_penalty=0.0, terminate_on_time_limit=True

@@ -24,7 +24,7 @@ def test_rejects_wrong_arguments_of_benches(tmp_path):
         return alone(ScanningSatellite("A"), *given)
 
     nadir, reward = scene.UniformNadirScanning(), TaskReward()
-    slow = BenchSatellite("A", action=PointAtTask(duration=2.0))
+    slow = BenchSatellite("A", action_spec=[PointAtTask(duration=2.0)])
     drawn, folder = AEOSBench(AEOSBenchGenerator(1, 5)), tmp_path / "cases"
     write(folder / "a", constellation(2), tasks(40))
     write(folder / "b", constellation(3), tasks(60))

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from bsk_torch.astro.relative import fibonacci_sphere
-from bsk_torch.tasks.inspection.obs import AXES
-from bsk_torch.tasks.inspection.regions import known_regions
+from bsk_torch.tasks.inspection.obs import AXES, known_regions
 
 POINTS = torch.as_tensor(fibonacci_sphere(37))
 

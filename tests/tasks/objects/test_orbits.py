@@ -7,7 +7,7 @@ from bsk_torch.astro.interpolate import BEFORE, COUNT, positions
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.tasks.objects.dyn import RSO_TRACK
-from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
+from bsk_torch.tasks.objects.orbits import CatalogOrbits
 from tests.sim.orbit.test_flights import CPU, start
 
 pytestmark = pytest.mark.compiled
@@ -20,7 +20,7 @@ def orbits(episodes, objects):
         rows = envs.unsqueeze(-1) * objects + torch.arange(objects)
         return r[rows], v[rows]
 
-    return CatalogOrbits(episodes, objects, make_flights(1.0, "compiled", CPU), Epoch(lambda envs: et[envs], states))
+    return CatalogOrbits(episodes, objects, make_flights(1.0, "compiled", CPU), lambda envs: et[envs], states)
 
 
 def test_episodes_have_clocks_of_their_own():
@@ -40,7 +40,7 @@ def test_a_reset_episode_begins_at_its_epoch():
     some.reset(torch.tensor([1]))
     time = torch.tensor([700.0, 0.0]).double()
     some.catch_up(time)
-    r_N, v_N = some.epoch.states(torch.tensor([1]))
+    r_N, v_N = some.beginning(torch.tensor([1]))
     r, v, _ = some.states(torch.tensor([1]), torch.arange(4).unsqueeze(0), time, time)
     assert (r - r_N).abs().max() < 1e-6
     assert (v - v_N).abs().max() < 1e-6

@@ -8,8 +8,9 @@ import torch
 
 import bsk_torch
 from bsk_torch import ConstellationTasking
+from bsk_torch.tasks.safe_autonomy import HeldThrust
 from bsk_torch.tasks.safe_autonomy.assurance import DOCKING, INSPECTION, Backup, Barriers, Deputies, nearest, stopping_gain
-from bsk_torch.tasks.safe_autonomy.preset_docking import BarrierDockingDeputy, DockingReward, Polar, deputy_args
+from bsk_torch.tasks.safe_autonomy.preset_docking import DockingDeputy, DockingReward, Polar, deputy_args
 from tests.tasks.safe_autonomy.replay import RECORDINGS
 
 RECORDED = np.load(RECORDINGS / "filters.npz")
@@ -143,7 +144,8 @@ def test_filtered_episodes_keep_the_safe_speed():
 def test_every_agent_has_a_filter():
     names = ("Deputy1", "Deputy2")
     args = deputy_args() | dict(relative_position=Polar(100.0, 150.0), relative_velocity=Polar(0.0, 0.2), speedLimitDistance=0.5)
-    satellites = [BarrierDockingDeputy(name, args) for name in names]
+    thrust = [HeldThrust(assurance=FILTERS["asif"])]
+    satellites = [DockingDeputy(name, args, action_spec=thrust) for name in names]
     env = ConstellationTasking(satellites, rewarder=DockingReward(), num_envs=4, seed=0, time_limit=2001.0)
     (group,) = env.group_map
     td = env.reset()
