@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, TypeVar
 
@@ -134,12 +135,16 @@ def core_world(world_type: Any) -> Any:
     return type(world_type.__name__, (world_type,), {"default_world_args": table, "__module__": __name__})
 
 
-def counterparts(namespace: dict[str, Any], names: Iterable[str]) -> None:
-    """Replace the models of the core in the namespace of a module by those for one episode."""
+def counterparts(title: str, names: Iterable[str], *places: str) -> None:
+    """Replace the models of the core in a module by those for one episode; it is also the modules that bsk_rl has below it."""
+    module = sys.modules[title]
     for name in names:
-        value = namespace[name]
+        value = getattr(module, name)
         if inspect.isclass(value) and issubclass(value, ROOTS):
-            namespace[name] = for_one_episode(value)
+            setattr(module, name, for_one_episode(value))
+    for place in places:
+        sys.modules[f"{title}.{place}"] = module
+        setattr(module, place, module)
 
 
 def _kind(core: type) -> str:
