@@ -8,7 +8,8 @@ numbers of that row, and properties and methods of a user's models run with the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property, partial
+from functools import cached_property
+from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -18,8 +19,7 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
 from bsk_torch.bsk_rl.sats.access_satellite import OpportunityQueries, Types, Window
-from bsk_torch.bsk_rl.sim import messages
-from bsk_torch.bsk_rl.sim.commands import Commanded
+from bsk_torch.bsk_rl.sim.commands import module_of
 from bsk_torch.bsk_rl.sim.views import of_row
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
@@ -104,6 +104,7 @@ class OneSimulator(OneView):
         self.__dict__["_satellite"] = satellite
 
     _satellite: BoundSatellite
+    sim_rate = property(attrgetter("_whole.h"), doc="Length of a tick, s.")
 
     @property
     def time_limit(self) -> float:
@@ -114,11 +115,6 @@ class OneSimulator(OneView):
     def sim_time_ns(self) -> int:
         """Time since reset, ns."""
         return of_row(self._whole.state.sim_time_ns, self._row)
-
-    @property
-    def sim_rate(self) -> float:
-        """Length of a tick, s."""
-        return self._whole.h
 
     @property
     def world(self) -> OneView:
@@ -136,44 +132,20 @@ class OneSimulator(OneView):
 
 
 class OneModel(OneView):
-    """A dynamics or flight-software model at one row."""
+    """A dynamics or flight-software model at one row; Basilisk's usual modules of dynamics are attributes."""
 
     @property
     def satellite(self) -> OneSatellite:
         """The satellite."""
         return view_of(self._whole.satellite, self._row)
 
-    @property
-    def storageUnit(self) -> Commanded:
-        """Basilisk's store, with ``storageUnitDataOutMsg.read()``, bit; AttributeError for models without one."""
-        module = messages.MODULES["storageUnit"]
-        getattr(type(self._whole), module.needs)
-        return Commanded("storageUnit", lambda: None, partial(messages.read_of, self, module.attributes))
+    def __getattr__(self, name: str) -> Any:
+        return module_of(self, name, lambda: None) or super().__getattr__(name)
 
-    @property
-    def instrument(self) -> SimpleNamespace:
-        """Basilisk's instrument, with ``nodeBaudRate``, bit/s; AttributeError for models without one."""
-        return SimpleNamespace(nodeBaudRate=self.instrument_baud)
-
-    @property
-    def dynamics(self) -> OneModel:
-        """The dynamics model of the satellite."""
-        return self.satellite.dynamics
-
-    @property
-    def fsw(self) -> OneModel:
-        """The flight-software model of the satellite."""
-        return self.satellite.fsw
-
-    @property
-    def simulator(self) -> OneSimulator:
-        """The simulation."""
-        return self.satellite.simulator
-
-    @property
-    def world(self) -> OneView:
-        """Sun, Earth and ground stations."""
-        return self.simulator.world
+    dynamics = property(attrgetter("satellite.dynamics"), doc="The dynamics model of the satellite.")
+    fsw = property(attrgetter("satellite.fsw"), doc="The flight-software model of the satellite.")
+    simulator = property(attrgetter("satellite.simulator"), doc="The simulation.")
+    world = property(attrgetter("simulator.world"), doc="Sun, Earth and ground stations.")
 
 
 class OneSatellite(OneView):
@@ -186,9 +158,10 @@ class OneSatellite(OneView):
     def __init__(self, satellite: BoundSatellite, row: int) -> None:
         """View the satellite of row ``row`` of all N of its type: number ``row % count`` of episode ``row // count``."""
         super().__init__(satellite, row)
-        self.__dict__["_env"], self.__dict__["_number"] = divmod(row, satellite.simulator.state.count)
+        self.__dict__["env"], self.__dict__["_number"] = divmod(row, satellite.simulator.state.count)
 
-    _env: int
+    env: int
+    """Number of the environment."""
     _number: int
 
     @property
@@ -196,15 +169,7 @@ class OneSatellite(OneView):
         """Name of the satellite."""
         return self._whole.names[self._number]
 
-    @property
-    def id(self) -> str:
-        """The name, as in bsk_rl."""
-        return self.name
-
-    @property
-    def env(self) -> int:
-        """Number of the environment."""
-        return self._env
+    id = name
 
     @property
     def simulator(self) -> OneSimulator:
@@ -231,7 +196,7 @@ class OneSatellite(OneView):
     @property
     def others(self) -> OneOthers:
         """The satellites of the episode by name, itself included, as such views."""
-        return OneOthers(self._whole.fleet, self._env)
+        return OneOthers(self._whole.fleet, self.env)
 
     @property
     def data_store(self) -> object:
@@ -240,14 +205,14 @@ class OneSatellite(OneView):
         if isinstance(store, list):
             return store[self._row]
         scenario, images = self._whole.scenario, store.data
-        imaged = [scenario.target_object(self._env, k) for k in torch.nonzero(images.imaged[self._row]).squeeze(-1).tolist()]
+        imaged = [scenario.target_object(self.env, k) for k in torch.nonzero(images.imaged[self._row]).squeeze(-1).tolist()]
         duplicates = int(images.duplicates[self._row])
-        return SimpleNamespace(data=UniqueImageData(imaged, duplicates, scenario.target_objects(self._env)))
+        return SimpleNamespace(data=UniqueImageData(imaged, duplicates, scenario.target_objects(self.env)))
 
     @property
     def scenario(self) -> OneView:
         """The scenario in the episode of the satellite."""
-        return OneView(self._whole.scenario, self._env)
+        return OneView(self._whole.scenario, self.env)
 
 
 class OneOthers(Mapping[str, OneSatellite]):
@@ -329,7 +294,7 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
 
     def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
         if is_target(kind):
-            thing: object = OneTarget(self._whole, self._env, place)
+            thing: object = OneTarget(self._whole, self.env, place)
         else:
             thing = names_of(self._whole, kind)[place]
         made = OneOpportunity(object=thing, type=kind, r_LP_P=r_LP_P, **window)
@@ -339,7 +304,7 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
     def _positions(self, kind: str) -> NDArray[Any]:
         """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
         if is_target(kind):
-            return self._whole.scenario.r_LP_P[self._env].cpu().numpy()
+            return self._whole.scenario.r_LP_P[self.env].cpu().numpy()
         row, places = torch.tensor([self._row]), self._whole.simulator.access.kinds[kind]
         place, now = torch.arange(places.count).unsqueeze(0), self._whole.simulator.sim_time[row].unsqueeze(-1)
         return places.position(row.to(now.device), place.to(now.device), now)[0].cpu().numpy()
@@ -443,13 +408,13 @@ class OneImagingSatellite(OneAccessSatellite):
     def latest_target(self) -> OneTarget | None:
         """Target that was chosen last; None before the first."""
         index = of_row(self._whole.latest_target, self._row)
-        return OneTarget(self._whole, self._env, index) if index >= 0 else None
+        return OneTarget(self._whole, self.env, index) if index >= 0 else None
 
     @property
     def known_targets(self) -> list[OneTarget]:
         """All targets of the environment."""
-        exists = self._whole.simulator.scenario_state["target_exists"][self._env]
-        return [OneTarget(self._whole, self._env, index) for index, flag in enumerate(exists.tolist()) if flag]
+        exists = self._whole.simulator.scenario_state["target_exists"][self.env]
+        return [OneTarget(self._whole, self.env, index) for index, flag in enumerate(exists.tolist()) if flag]
 
 
 def view_of(satellite: BoundSatellite, row: int) -> OneSatellite:

@@ -8,24 +8,23 @@ another one raises AttributeError with advice.
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import cache, cached_property, partial
+from operator import attrgetter
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
-from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command
+from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command, module_of
 from bsk_torch.bsk_rl.sim.engine import SKY, row_mask
 from bsk_torch.bsk_rl.sim.models import classes_of_users
-from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
+from bsk_torch.bsk_rl.sim.rso_imaging import Capture
 from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
-from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
 
     from bsk_torch.bsk_rl.sats.satellite import Satellite
     from bsk_torch.bsk_rl.scene.rso_targets import EpisodeTarget
+    from bsk_torch.bsk_rl.sim.simulator import Simulator
     from bsk_torch.sim.readout.observables import Now
     from bsk_torch.sim.simulator import Simulator as CoreSimulator
 
@@ -56,21 +56,6 @@ ELEMENTS = {
 
 PACKAGE = "bsk_torch."
 """Beginning of the names of the package's modules."""
-
-
-class Episode(Protocol):
-    """What views read of :class:`bsk_torch.bsk_rl.sim.simulator.Simulator`, the simulation of an episode."""
-
-    satellites: list[Satellite]
-    sim_rate: float
-    world: WorldView
-    world_args: dict[str, Any]
-    fleet: SatelliteFleet
-    aims: Aims
-    collisions: list[tuple[object, object]]
-
-    def sights_now(self) -> np.ndarray:
-        """Return whether one satellite sees another one now, [S, S] booleans."""
 
 
 class _Overridden:
@@ -232,25 +217,10 @@ class ModelView:
 
     # -- what every model has -----------------------------------------------------------------------------------------
 
-    @property
-    def simulator(self) -> Episode:
-        """The simulation of the episode."""
-        return self.satellite.simulator
-
-    @property
-    def world(self) -> WorldView:
-        """Sun, Earth and ground stations."""
-        return self.simulator.world
-
-    @property
-    def dynamics(self) -> Any:
-        """The dynamics model of the satellite."""
-        return self.satellite.dynamics
-
-    @property
-    def fsw(self) -> object:
-        """The flight-software model of the satellite."""
-        return self.satellite.fsw
+    simulator = property(attrgetter("satellite.simulator"), doc="The simulation of the episode.")
+    world = property(attrgetter("simulator.world"), doc="Sun, Earth and ground stations.")
+    dynamics = property(attrgetter("satellite.dynamics"), doc="The dynamics model of the satellite.")
+    fsw = property(attrgetter("satellite.fsw"), doc="The flight-software model of the satellite.")
 
     def is_alive(self, log_failure: bool = False) -> bool:
         """Return whether every aliveness check holds; as in bsk_rl, those after the first failure are not called.
@@ -291,25 +261,16 @@ class SatelliteModelView(ModelView):
     def _arguments(self) -> set[str]:
         return {arg.name for component in type(self._whole).all_components() for arg in component.args}
 
-    @property
-    def logger(self) -> logging.Logger:
-        """Logger of the satellite."""
-        return self.satellite.logger
+    logger = property(attrgetter("satellite.logger"), doc="Logger of the satellite.")
 
 
 class DynamicsView(SatelliteModelView):
     """The dynamics model of a satellite; Basilisk's usual modules are attributes."""
 
     def __getattr__(self, name: str) -> Any:
-        module = messages.MODULES.get(name)
-        if module is not None and hasattr(type(self._whole), module.needs):
-            return Commanded(name, lambda: self.satellite.fsw._commanding, partial(messages.read_of, self, module.attributes))
-        return super().__getattr__(name)
+        return module_of(self, name, lambda: self.satellite.fsw._commanding) or super().__getattr__(name)
 
-    @property
-    def dyn_rate(self) -> float:
-        """Length of a tick, s."""
-        return self.simulator.sim_rate
+    dyn_rate = property(attrgetter("simulator.sim_rate"), doc="Length of a tick, s.")
 
     @property
     def task_name(self) -> str:
@@ -491,10 +452,7 @@ class FlightSoftwareView(SatelliteModelView):
             raise AttributeError(f"{self.satellite.name} has no {name}; another model of its flight software has it")
         return np.atleast_1d(self._core.read(name)[self._row].numpy(force=True))
 
-    @property
-    def fsw_rate(self) -> float:
-        """Length of a tick, s."""
-        return self.simulator.sim_rate
+    fsw_rate = property(attrgetter("simulator.sim_rate"), doc="Length of a tick, s.")
 
     @property
     def _core(self) -> CoreSimulator:
@@ -593,7 +551,7 @@ class Station:
         maximumRange: Longest range, m; no limit if negative.
     """
 
-    def __init__(self, simulator: Episode, name: str, r_LP_P: ArrayLike, sine: float, reach: float) -> None:
+    def __init__(self, simulator: Simulator, name: str, r_LP_P: ArrayLike, sine: float, reach: float) -> None:
         """Keep the numbers of a station."""
         self._place = np.asarray(r_LP_P, dtype=float)
         self.ModelTag, self.r_LP_P_Init = name, self._place.reshape(3, 1).tolist()
@@ -619,15 +577,12 @@ class WorldView(ModelView):
 
     sun_index, body_index = 0, 1
 
-    def __init__(self, whole: object, simulator: Episode) -> None:
+    def __init__(self, whole: object, simulator: Simulator) -> None:
         """View the world of a simulation."""
         super().__init__(whole, 0)
         self.__dict__["_simulator"] = simulator
 
-    @property
-    def simulator(self) -> Episode:
-        """The simulation of the episode."""
-        return self.__dict__["_simulator"]
+    simulator = property(attrgetter("_simulator"), doc="The simulation of the episode.")
 
     def __getattr__(self, name: str) -> Any:
         args = self.simulator.world_args
@@ -647,21 +602,19 @@ class WorldView(ModelView):
         return self.simulator.fleet.simulators[0].observer
 
     @property
-    def planet(self) -> object:
-        """Basilisk's Earth: ``mu``, m^3/s^2, and ``radEquator``, m."""
-        return self.gravFactory.gravBodies["earth"]
-
-    @property
     def eclipseObject(self) -> object:
         """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
         if all(component.slot != "eclipse" for component in type(self._whole).all_components()):
             raise AttributeError(self._advice("eclipseObject"))
         return messages.eclipses(self)
 
-    @property
-    def gravFactory(self) -> SimpleNamespace:
-        """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
-        return messages.gravity_factory(self)
+    planet = property(
+        lambda view: view.gravFactory.gravBodies["earth"], doc="Basilisk's Earth: ``mu``, m^3/s^2, ``radEquator``, m."
+    )
+    gravFactory = property(
+        messages.gravity_factory, doc="Basilisk's factory of gravity bodies, with the messages of Sun and Earth."
+    )
+    ephemConverter = property(messages.ephemerides, doc="Basilisk's converter of ephemerides, with the same messages.")
 
     @property
     def densityModel(self) -> object:
@@ -670,11 +623,6 @@ class WorldView(ModelView):
         if "baseDensity" not in args:
             raise AttributeError(self._advice("densityModel"))
         return Commanded("densityModel", lambda: None, args.__getitem__)
-
-    @property
-    def ephemConverter(self) -> object:
-        """Basilisk's converter of ephemerides, with the same messages."""
-        return messages.ephemerides(self)
 
     @cached_property
     def groundStations(self) -> list[Station]:
