@@ -119,7 +119,6 @@ class BatchedAgentsVectorEnv(AgentsVector):
     """
 
     def __init__(self, core: Constellation, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
-        """Wrap a simulation; ``autoreset_mode`` is ``NEXT_STEP`` or ``DISABLED``."""
         self.core = core
         self._seats, observation_spaces, action_spaces = dict[object, Seat](), ByAgent(), ByAgent()
         dtype = torch.empty(0, dtype=core.dtype).numpy().dtype.type

@@ -155,7 +155,6 @@ class EpisodesVectorEnv(SyncVectorEnv):
         envs: Sequence[GeneralSatelliteTasking[object, object]],
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        """Put environments of the same spaces together."""
         alone = [Alone(env) for env in envs]
         super().__init__([lambda one=one: one for one in alone], autoreset_mode=parse_mode(autoreset_mode))  # type: ignore[misc]
 

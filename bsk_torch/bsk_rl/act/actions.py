@@ -40,7 +40,6 @@ class ActionBuilder(ABC, ResetableGroup):
     """
 
     def __init__(self, satellite: Satellite) -> None:
-        """Copy and link the actions of a satellite."""
         self.satellite = satellite
         self.simulator: Any = None
         self.action_spec: Any = deepcopy(list(satellite.action_spec))
@@ -79,7 +78,6 @@ class Action(ABC, Part):
     builder_type: ClassVar[type[ActionBuilder]]
 
     def __init__(self, name: str = "act") -> None:
-        """Name the action."""
         self.name = name
 
     @property

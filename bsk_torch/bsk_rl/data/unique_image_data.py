@@ -68,7 +68,6 @@ class HideImaged:
     """Access filter that hides the targets that a store has imaged."""
 
     def __init__(self, store: Any) -> None:
-        """Hide the targets in ``store.data.imaged``."""
         self.store = store
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:

@@ -142,7 +142,6 @@ class Observation(ABC, Part):
     """Part of an observation. Subclasses define :meth:`get_obs`."""
 
     def __init__(self, name: str = "obs") -> None:
-        """Name the observation."""
         self.name = name
 
     @abstractmethod

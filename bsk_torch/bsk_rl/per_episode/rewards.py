@@ -33,7 +33,6 @@ class PerEpisodeReward(GlobalReward):
     records: RecordTable
 
     def __init__(self, rewarder: OneReward) -> None:
-        """Run copies of ``rewarder``."""
         self.original = rewarder
 
     @override

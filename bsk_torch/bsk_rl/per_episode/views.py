@@ -43,7 +43,6 @@ class OneView:
     """
 
     def __init__(self, whole: object, row: int) -> None:
-        """View row number ``row``."""
         self.__dict__.update(_whole=whole, _row=row)
 
     _whole: Any
@@ -82,7 +81,6 @@ class OneArguments(Mapping[str, Any]):
     """Arguments of the current episode by name: numbers, NumPy arrays, and what is neither."""
 
     def __init__(self, whole: Mapping[str, object], row: int) -> None:
-        """View row number ``row`` of the arguments [N, ...] of all rows."""
         self._whole, self._row = whole, row
 
     def __getitem__(self, name: str) -> Any:
@@ -99,7 +97,6 @@ class OneSimulator(OneView):
     """The simulation at one row: time, world, and declared memory."""
 
     def __init__(self, satellite: BoundSatellite, row: int) -> None:
-        """View the simulation of a satellite."""
         super().__init__(satellite.simulator, row)
         self.__dict__["_satellite"] = satellite
 
@@ -219,7 +216,6 @@ class OneOthers(Mapping[str, OneSatellite]):
     """The satellites of one episode by name, each as a view of one row."""
 
     def __init__(self, fleet: SatelliteFleet, env: int) -> None:
-        """Show the satellites of episode number ``env``."""
         self._fleet, self._env = fleet, env
 
     def __getitem__(self, name: str) -> OneSatellite:
@@ -241,7 +237,6 @@ class OneTarget:
     """
 
     def __init__(self, satellite: BoundAccessSatellite, env: int, index: int) -> None:
-        """Describe target number ``index`` of an environment."""
         self._satellite, self._env, self.id = satellite, env, index
 
     @property

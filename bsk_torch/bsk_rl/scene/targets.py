@@ -31,7 +31,6 @@ class Target:
     """
 
     def __init__(self, name: str, r_LP_P: Iterable[float], priority: float) -> None:
-        """Initialize the target with a name, a position and a priority."""
         self.name, self.r_LP_P, self.priority = name, np.array(r_LP_P), priority
 
     @property

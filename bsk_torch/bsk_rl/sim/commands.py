@@ -117,7 +117,6 @@ class Commanded:
     """A module that commands reset and switch: attributes that can be read, and the settings of a command."""
 
     def __init__(self, name: str, command: Callable[[], Command | None], read: Callable[[str], object]) -> None:
-        """View a module by its name in bsk_rl's models."""
         self.__dict__.update(_name=name, _command=command, _read=read)
 
     def __getattr__(self, name: str) -> Any:

@@ -88,7 +88,6 @@ class Anything(CoreAction):
     """Stands for actions of the user, which may command anything."""
 
     def __init__(self) -> None:
-        """Name it."""
         super().__init__("anything")
 
 

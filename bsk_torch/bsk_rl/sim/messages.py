@@ -98,7 +98,6 @@ class Recorder:
     """Keeps the payloads of a message from when it is added to a task; the fields of the payload are arrays [T, ...]."""
 
     def __init__(self, message: Message, minUpdateTime: int) -> None:
-        """Record a message."""
         self._message, self._every = message, minUpdateTime
         self._times: list[int] = []
         self._payloads: list[Any] = []

@@ -58,7 +58,6 @@ class Task:
     name: ClassVar[str]
 
     def __init__(self, fsw: object, priority: int = 100) -> None:
-        """Store the flight software."""
         self.fsw, self.priority = fsw, priority
 
     def __init_subclass__(cls, **options: object) -> None:

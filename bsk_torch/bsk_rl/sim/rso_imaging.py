@@ -32,7 +32,6 @@ class Aims:
     """
 
     def __init__(self, fleet: SatelliteFleet) -> None:
-        """Begin without targets in the episode of ``fleet``."""
         self.fleet = fleet
         self._targets: list[Satellite] = []
         self._orbits: CatalogOrbits | None = None
@@ -77,7 +76,6 @@ class Capture:
     """
 
     def __init__(self, satellite: Satellite) -> None:
-        """Begin the episode of an imager."""
         self.satellite = satellite
         self.records: list[RSOImageRecord] = []
         self.completed = False

@@ -74,7 +74,6 @@ class Part:
     """A module of the package while a model is set up: its settings are arguments."""
 
     def __init__(self, name: str, args: dict[str, object]) -> None:
-        """Let the settings of the module ``name`` change ``args``."""
         self.__dict__.update(_name=name, _args=args)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -100,7 +99,6 @@ class Spacecraft(Part):
     """The spacecraft while a model is set up; effectors of the package's kinds are read by :class:`Setup`."""
 
     def __init__(self, args: dict[str, object]) -> None:
-        """Let the settings of the hub change ``args``."""
         super().__init__("scObject", args)
         self.__dict__["hub"] = Part("hub", args)
         self.__dict__["scStateOutMsg"] = _message("SCStatesMsg")
@@ -170,7 +168,6 @@ class Simulation:
     """The simulator while a model is set up: keeps the modules that are added to tasks."""
 
     def __init__(self, satellites: Sequence[object]) -> None:
-        """Begin without modules."""
         self.satellites, self.added = satellites, list[object]()
 
     def AddModelToTask(self, task: str, module: object, ModelPriority: int = -1) -> None:
@@ -184,7 +181,6 @@ class Setup:
     def __init__(
         self, model: type, args: Mapping[str, object], satellite: object = None, world: object = None, fsw: object = None
     ) -> None:
-        """Begin with the drawn arguments of a satellite or world."""
         self.__dict__.update(
             _model=model,
             _args=dict(args),

@@ -67,7 +67,6 @@ class Clock:
     """Stands for a simulator that a condition reads only the time of."""
 
     def __init__(self, nanoseconds: int) -> None:
-        """Set the time, ns."""
         self.sim_time_ns, self.sim_time = nanoseconds, nanoseconds * NANO
         self.TotalSim = SimpleNamespace(CurrentNanos=nanoseconds)
 

@@ -109,7 +109,6 @@ class ModelView:
         return object.__new__(_overriding(cls, type(whole)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
 
     def __init__(self, whole: object, row: int) -> None:
-        """View row number ``row`` of a model of the core."""
         self.__dict__.update(_whole=whole, _row=row, _memo=(-1, {}))
 
     @property  # type: ignore[misc]
@@ -247,7 +246,6 @@ class SatelliteModelView(ModelView):
     """A model of one satellite; arguments that bsk_rl's model keeps are attributes."""
 
     def __init__(self, whole: object, row: int, satellite: Satellite) -> None:
-        """View the model of a satellite."""
         super().__init__(whole, row)
         self.__dict__["satellite"] = satellite
 
@@ -393,7 +391,6 @@ class FlightSoftwareView(SatelliteModelView):
     """The flight-software model of a satellite; its commands are methods ``action_...``."""
 
     def __init__(self, whole: object, row: int, satellite: Satellite) -> None:
-        """View the flight software of a satellite."""
         super().__init__(whole, row, satellite)
         self.__dict__["_commanding"] = None
 
@@ -552,7 +549,6 @@ class Station:
     """
 
     def __init__(self, simulator: Simulator, name: str, r_LP_P: ArrayLike, sine: float, reach: float) -> None:
-        """Keep the numbers of a station."""
         self._place = np.asarray(r_LP_P, dtype=float)
         self.ModelTag, self.r_LP_P_Init = name, self._place.reshape(3, 1).tolist()
         self.minimumElevation, self.maximumRange = float(np.arcsin(sine)), reach
@@ -578,7 +574,6 @@ class WorldView(ModelView):
     sun_index, body_index = 0, 1
 
     def __init__(self, whole: object, simulator: Simulator) -> None:
-        """View the world of a simulation."""
         super().__init__(whole, 0)
         self.__dict__["_simulator"] = simulator
 
