@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Any, NoReturn
 
 import gymnasium
 from pettingzoo.utils import BaseParallelWrapper
 
 from bsk_torch.wrappers import metrics
+from bsk_torch.wrappers.rllib import HAS_RLLIB
 
 __all__ = ["EpisodeDataLogger", "EpisodeDataParallelWrapper", "EpisodeDataWrapper", "WrappedEpisodeDataCallbacks"]
 
@@ -56,7 +56,7 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
     """Metrics of a PettingZoo environment; see :class:`EpisodeDataLogger`."""
 
 
-if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
+if HAS_RLLIB:
     from bsk_torch.wrappers.rllib import WrappedEpisodeDataCallbacks
 
 
