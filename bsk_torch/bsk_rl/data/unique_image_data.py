@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
@@ -64,11 +65,11 @@ class UniqueImageStore(DataStore):
         """Color targets in Vizard."""
 
 
+@dataclass(eq=False)
 class HideImaged:
     """Access filter that hides the targets that a store has imaged."""
 
-    def __init__(self, store: Any) -> None:
-        self.store = store
+    store: Any
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:
         """Return whether an opportunity is none of these."""
