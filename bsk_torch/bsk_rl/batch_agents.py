@@ -20,6 +20,7 @@ from bsk_torch.env import NO_ACTION
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.core import as_numpy, begin
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
+from bsk_torch.wrappers.tasks import ends
 
 ByAgent = dict[Any, Any]
 """Arrays [N, ...] by agent."""
@@ -189,7 +190,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
         self._check_step(actions)
         waiting, before = self._over, self._present
         results = self.core.play(self._tables(actions), ~waiting)
-        ended, cut = self._ends()
+        ended, cut = ends(self.core)
         moved = before & ~waiting.unsqueeze(-1)
         remaining = moved & ~self.core.dead & ~cut.unsqueeze(-1)
         self._present = torch.where(waiting.unsqueeze(-1), before, remaining)
@@ -219,13 +220,6 @@ class BatchedAgentsVectorEnv(AgentsVector):
             table, acts = tables[seat.group], self._present[:, seat.column] & ~self._over
             table[:, seat.number] = torch.where(acts, torch.as_tensor(chosen), table[:, seat.number])
         return list(tables.values())
-
-    def _ends(self) -> tuple[Tensor, Tensor]:
-        """Return which satellites are terminated, [N, S], and which episodes are truncated, [N]."""
-        core = self.core
-        cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
-        ended = core.dead | (core.checked.terminated() & core.present)
-        return (ended | cut.unsqueeze(-1) if core.terminate_on_time_limit else ended), cut
 
     # -- results -------------------------------------------------------------------------------------------------------
 
