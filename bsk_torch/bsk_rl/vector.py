@@ -144,10 +144,7 @@ class EpisodesVectorEnv(SyncVectorEnv):
     """N environments side by side, as ``gymnasium.vector.VectorEnv``.
 
     With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``, to the last bit; later
-    episodes draw their seeds from ``env.np_random``, so that the first seed decides all of them.
-
-    Attributes:
-        envs: The environments, each in :class:`Alone`.
+    episodes draw their seeds from ``env.np_random``, so that the first seed decides all of them. ``envs`` are in :class:`Alone`.
     """
 
     def __init__(
@@ -179,10 +176,8 @@ def called(envs: Sequence[Any], name: str, *args: Any, **kwargs: Any) -> tuple[A
 class AgentsVectorEnv(AgentsVector):
     """N constellations side by side.
 
-    With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
-
-    Attributes:
-        envs: The environments, each in :class:`Alone`.
+    With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``. ``envs`` are in
+    :class:`Alone`.
     """
 
     def __init__(
@@ -214,9 +209,7 @@ class AgentsVectorEnv(AgentsVector):
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
-    def get_attr(self, name: str) -> tuple[object, ...]:
-        """Return an attribute of every environment."""
-        return self.call(name)
+    get_attr = call
 
     def set_attr(self, name: str, values: object) -> None:
         """Set an attribute: to one value everywhere, or to those of a list [N]; ValueError for a list of another length."""

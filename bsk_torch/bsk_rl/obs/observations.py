@@ -168,11 +168,6 @@ class SatProperties(Observation):
                 name_entry(entry, entry["prop"])
         self.obs_properties = obs_properties
 
-    @property
-    def property_names(self) -> list[str]:
-        """Names of the properties of models."""
-        return [entry["prop"] for entry in self.obs_properties if "fn" not in entry]
-
     def reset_post_sim_init(self) -> None:
         """Find the models that have the properties; AttributeError if none has."""
         for entry in self.obs_properties:

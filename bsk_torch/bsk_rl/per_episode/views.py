@@ -102,30 +102,14 @@ class OneSimulator(OneView):
 
     _satellite: BoundSatellite
     sim_rate = property(attrgetter("_whole.h"), doc="Length of a tick, s.")
-
-    @property
-    def time_limit(self) -> float:
-        """Time limit of the episode, s."""
-        return of_row(self._satellite.time_limit, self._row)
-
-    @property
-    def sim_time_ns(self) -> int:
-        """Time since reset, ns."""
-        return of_row(self._whole.state.sim_time_ns, self._row)
-
-    @property
-    def world(self) -> OneView:
-        """Sun, Earth and ground stations."""
-        return OneView(self._whole.world, self._row)
+    time_limit = property(lambda view: of_row(view._satellite.time_limit, view._row), doc="Time limit of the episode, s.")
+    sim_time_ns = property(lambda view: of_row(view._whole.state.sim_time_ns, view._row), doc="Time since reset, ns.")
+    world = property(lambda view: OneView(view._whole.world, view._row), doc="Sun, Earth and ground stations.")
+    memory = property(lambda view: OneArguments(view._whole.memory, view._row), doc="Declared values of the row by name.")
 
     def get_satellite(self, name: str) -> OneSatellite:
         """Return a satellite of the episode; KeyError for an unknown name."""
         return OneOthers(self._satellite.fleet, self._row // self._satellite.simulator.count)[name]
-
-    @property
-    def memory(self) -> OneArguments:
-        """Declared values of the row by name."""
-        return OneArguments(self._whole.memory, self._row)
 
 
 class OneModel(OneView):
@@ -161,39 +145,15 @@ class OneSatellite(OneView):
     """Number of the environment."""
     _number: int
 
-    @property
-    def name(self) -> str:
-        """Name of the satellite."""
-        return self._whole.names[self._number]
-
-    id = name
-
-    @property
-    def simulator(self) -> OneSimulator:
-        """The simulation of the satellite."""
-        return OneSimulator(self._whole, self._row)
-
-    @property
-    def dynamics(self) -> OneModel:
-        """The dynamics model."""
-        return OneModel(self._whole.dynamics, self._row)
-
-    @property
-    def fsw(self) -> OneModel:
-        """The flight-software model."""
-        return OneModel(self._whole.fsw, self._row)
-
-    @property
-    def sat_args(self) -> OneArguments:
-        """Arguments of the current episode."""
-        return OneArguments(self._whole.sat_args, self._row)
-
-    model_args = sat_args
-
-    @property
-    def others(self) -> OneOthers:
-        """The satellites of the episode by name, itself included, as such views."""
-        return OneOthers(self._whole.fleet, self.env)
+    name = id = property(lambda view: view._whole.names[view._number], doc="Name of the satellite.")
+    simulator = property(lambda view: OneSimulator(view._whole, view._row), doc="The simulation of the satellite.")
+    dynamics = property(lambda view: OneModel(view._whole.dynamics, view._row), doc="The dynamics model.")
+    fsw = property(lambda view: OneModel(view._whole.fsw, view._row), doc="The flight-software model.")
+    sat_args = model_args = property(lambda view: OneArguments(view._whole.sat_args, view._row), doc="Arguments of the episode.")
+    others = property(
+        lambda view: OneOthers(view._whole.fleet, view.env), doc="All satellites of the episode by name, as such views."
+    )
+    scenario = property(lambda view: OneView(view._whole.scenario, view.env), doc="The scenario in the episode.")
 
     @property
     def data_store(self) -> object:
@@ -205,11 +165,6 @@ class OneSatellite(OneView):
         imaged = [scenario.target_object(self.env, k) for k in torch.nonzero(images.imaged[self._row]).squeeze(-1).tolist()]
         duplicates = int(images.duplicates[self._row])
         return SimpleNamespace(data=UniqueImageData(imaged, duplicates, scenario.target_objects(self.env)))
-
-    @property
-    def scenario(self) -> OneView:
-        """The scenario in the episode of the satellite."""
-        return OneView(self._whole.scenario, self.env)
 
 
 class OneOthers(Mapping[str, OneSatellite]):

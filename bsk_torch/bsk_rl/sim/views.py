@@ -222,11 +222,7 @@ class ModelView:
     fsw = property(attrgetter("satellite.fsw"), doc="The flight-software model of the satellite.")
 
     def is_alive(self, log_failure: bool = False) -> bool:
-        """Return whether every aliveness check holds; as in bsk_rl, those after the first failure are not called.
-
-        Args:
-            log_failure: Whether the logger of the satellite gets a warning of the first failure.
-        """
+        """Return whether every aliveness check holds; those after the first failure, which may be logged, are not called."""
         return self._checks_hold(log_failure)
 
     def _checks_hold(self, log_failure: bool) -> bool:
@@ -269,11 +265,7 @@ class DynamicsView(SatelliteModelView):
         return module_of(self, name, lambda: self.satellite.fsw._commanding) or super().__getattr__(name)
 
     dyn_rate = property(attrgetter("simulator.sim_rate"), doc="Length of a tick, s.")
-
-    @property
-    def task_name(self) -> str:
-        """Name of the task of the satellite's dynamics, to which recorders are added."""
-        return f"DynamicsTask{self.satellite.name}"
+    task_name = property(lambda view: f"DynamicsTask{view.satellite.name}", doc="Name of the task to which recorders are added.")
 
     @property
     def I_mat(self) -> list[float]:
@@ -321,12 +313,11 @@ class DynamicsView(SatelliteModelView):
         if not hasattr(type(self._whole), name):
             raise AttributeError(self._advice(name))
 
-    def _elements_at_start(self) -> dict[str, float]:
-        """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
-        if "_oe" not in self.__dict__:
-            elements = self._whole.elements
-            self.__dict__["_oe"] = {name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()}
-        return self.__dict__["_oe"]
+    @cached_property
+    def _oe(self) -> SimpleNamespace:
+        """Orbital elements as they were when they were first read in the episode, as in bsk_rl."""
+        elements = self._whole.elements
+        return SimpleNamespace(**{name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()})
 
     def observed(self, function: Callable[[Now], object]) -> Any:
         """See :meth:`ModelView.observed`; orbital elements are those of the first moment at which one was read."""
@@ -378,13 +369,8 @@ class DynamicsView(SatelliteModelView):
         return near
 
 
-def _element(name: str) -> property:
-    """Return a property that is the orbital element of the first moment at which one was read."""
-    return property(lambda view: view._elements_at_start()[ELEMENTS[name]])
-
-
-for _name in ELEMENTS:
-    setattr(DynamicsView, _name, _element(_name))
+for _name, _element in ELEMENTS.items():
+    setattr(DynamicsView, _name, property(attrgetter(f"_oe.{_element}")))
 
 
 class FlightSoftwareView(SatelliteModelView):
@@ -488,7 +474,7 @@ class FlightSoftwareView(SatelliteModelView):
     def _module(self, name: str) -> object:
         """Return a module of Basilisk's flight software, if the model has it."""
         module = messages.FSW_MODULES[name]
-        if not module.exists(self):
+        if not isinstance(self, module.model) or isinstance(self, module.without):
             raise AttributeError(self._advice(name))
         if module.message is not None:
             return module.message(self)
@@ -513,7 +499,13 @@ class FlightSoftwareView(SatelliteModelView):
         if target.id not in self.dynamics.rso_partition_names:
             raise ValueError(f"{self.satellite.name} does not know the target {target.id!r}; dynamics.bind_rso_target adds it")
         self._enter("image_rso")
-        capture.start(target, duration, hold_s, hold_mode, require_illumination, illumination_threshold)
+        capture.start(
+            target,
+            duration,
+            rso_hold=float(hold_s),
+            rso_continuous=float(hold_mode == "continuous"),
+            rso_least_light=float(illumination_threshold) if require_illumination else -1.0,
+        )
 
     def action_image(self, r_LP_P: object, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
