@@ -33,11 +33,7 @@ def select_action_builder(satellite: Satellite) -> ActionBuilder:
 
 
 class ActionBuilder(ABC, ResetableGroup):
-    """Chooses among the actions of a satellite.
-
-    Attributes:
-        action_spec: The actions, copies of those of the satellite's class.
-    """
+    """Chooses among the actions of a satellite, ``action_spec``: copies of those of its class."""
 
     def __init__(self, satellite: Satellite) -> None:
         self.satellite = satellite

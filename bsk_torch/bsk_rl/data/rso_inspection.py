@@ -64,11 +64,7 @@ def _either(one: Status, other: Status) -> Status:
 
 
 class RSOInspectionDataStore(DataStore):
-    """Reads the points inspected in a step from ``scenario.inspection``; the RSO itself inspects none.
-
-    Attributes:
-        role: ``"inspector"`` or ``"rso"``.
-    """
+    """Reads the points inspected in a step from ``scenario.inspection``; the RSO itself, by its ``role``, inspects none."""
 
     data_type = RSOInspectionData
 

@@ -78,14 +78,7 @@ class SingleScenario(OneView):
 
 
 class Record:
-    """A rewarder of one episode, and the satellites with their stores, of one episode.
-
-    Attributes:
-        rewarder: Copy of the user's rewarder.
-        satellites: Satellites by their number in the episode.
-        scenario: View of the scenario.
-        steps: Steps that have been scored.
-    """
+    """Copy of the user's rewarder, and the satellites with their stores, of one episode; ``steps`` have been scored."""
 
     def __init__(self, rewarder: GlobalReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
         self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
