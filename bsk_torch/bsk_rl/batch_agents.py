@@ -41,6 +41,8 @@ AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 class AgentsVector:
     """N constellations: PettingZoo's parallel interface, with arrays of all environments by agent.
 
+    An environment starts its next episode in the step after the end, which ignores its actions (``NEXT_STEP``), or in
+    ``reset(options={"reset_mask": ended})`` (``DISABLED``).
     Actions, observations, rewards, terminations, truncations and infos are dictionaries by agent, of arrays [N, ...]. Entries of
     agents that have left an environment are zero; ``infos[agent]["present"]`` [N] marks the environments in which an agent was
     part of the step. An episode is over when its agents have left, or are all terminated or truncated.

@@ -43,20 +43,10 @@ def vector_form(
     args: Sequence[Any],
     kwargs: Mapping[str, Any],
 ) -> EpisodesVectorEnv | AgentsVectorEnv | BatchedVectorEnv | BatchedAgentsVectorEnv:
-    """Return N environments of a class as one; a log record describes how they are simulated.
+    """Return N environments of a class, made of the same arguments, as one; a log record describes how they are simulated.
 
-    Args:
-        make: Class of the environments.
-        num_envs: Number of environments N.
-        vectorize: ``"batched"`` for one simulation of all, also of custom rewarders and custom targets; ``"episodes"`` for N
-            simulations; ``"auto"`` for the first if no class is custom.
-        autoreset_mode: See :class:`gymnasium.vector.AutoresetMode`; None for ``NEXT_STEP``.
-        args: Arguments of each environment.
-        kwargs: Keyword arguments of each environment.
-
-    Raises:
-        NotBatchedError: With ``vectorize="batched"``, for a program that cannot be one simulation.
-        ValueError: For an argument that is not allowed.
+    With ``vectorize="batched"``, one simulation of all runs custom rewarders and custom targets, too; NotBatchedError for other
+    custom classes. With ``"auto"``, programs without custom classes are batched.
     """
     if vectorize not in FORMS:
         raise ValueError(f"vectorize={vectorize!r} must be one of {list(FORMS)}")
@@ -183,16 +173,6 @@ class AgentsVectorEnv(AgentsVector):
     def __init__(
         self, envs: Sequence[ConstellationTasking[object, object]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
     ) -> None:
-        """Put environments of the same agents together.
-
-        Args:
-            envs: The environments.
-            autoreset_mode: When an environment starts its next episode: in the step after the end, which ignores its actions
-                (``NEXT_STEP``), or in ``reset(options={"reset_mask": ended})`` (``DISABLED``).
-
-        Raises:
-            ValueError: For another mode.
-        """
         self.envs = [Alone(env) for env in envs]
         first = self.envs[0].env
         spaces_of = first.observation_space, first.action_space

@@ -110,11 +110,7 @@ class Engine:
         sim_rate: float,
         time_limit: float,
     ) -> SatelliteFleet:
-        """Start an episode with the drawn arguments of satellites and world; return its simulation.
-
-        Raises:
-            ValueError: For arguments that are not allowed.
-        """
+        """Start an episode with the drawn arguments of satellites and world; return its simulation."""
         self._values = [_own_values(satellite) for satellite in satellites]
         self.world, self._limit = world_args | changed_arguments(world_type, world_args), float(time_limit)
         world_type = core_world(world_type)  # type: ignore[arg-type]  # mypy: a class is not Hashable

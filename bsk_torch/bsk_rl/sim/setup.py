@@ -250,15 +250,9 @@ class Setup:
 
 
 def changed_arguments(model: type, args: Mapping[str, object], satellite: Satellite | None = None) -> dict[str, object]:
-    """Run the ``setup_...`` methods of a user's model; return the arguments that they change.
+    """Run the ``setup_...`` methods of a user's model of a satellite, or of the world; return the arguments that they change.
 
-    Args:
-        model: Model of a satellite, or of the world.
-        args: Arguments of the episode.
-        satellite: The satellite.
-
-    Raises:
-        NotSimulatedError: For a method that adds a part that is not simulated.
+    NotSimulatedError for a method that adds a part that is not simulated.
     """
     definitions = (item for owner in classes_of_users(model) for item in vars(owner).items())
     if not any(
