@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NoReturn
+from typing import Any
 
 import gymnasium
 from pettingzoo.utils import BaseParallelWrapper
 
+from bsk_torch.bsk_rl.older import advising
 from bsk_torch.wrappers import metrics
 from bsk_torch.wrappers.rllib import HAS_RLLIB
 
@@ -59,8 +60,4 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
 if HAS_RLLIB:
     from bsk_torch.wrappers.rllib import WrappedEpisodeDataCallbacks
 
-
-def __getattr__(name: str) -> NoReturn:
-    if name in WITHOUT:
-        raise ImportError(f"bsk_rl's {name} {WITHOUT[name]}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = advising(__name__, WITHOUT)
