@@ -11,7 +11,6 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.targets import Target
-from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.sim.places import is_target
 
 
@@ -60,7 +59,6 @@ class UniqueImageStore(DataStore):
         self.update_target_colors([target])
         return UniqueImageData(imaged={target})
 
-    @vizard.visualize
     def update_target_colors(self, targets: list[Target], vizInstance: object = None, vizSupport: object = None) -> None:
         """Color targets in Vizard."""
 

@@ -248,12 +248,11 @@ class SatelliteModelView(ModelView):
     satellite: Any
 
     def __getattr__(self, name: str) -> Any:
-        if name in messages.KEPT and name in self._arguments():
-            return self.satellite.model_args[name]
+        if name in messages.KEPT:
+            args = (arg for component in type(self._whole).all_components() for arg in component.args)
+            if any(arg.name == name for arg in args):
+                return self.satellite.model_args[name]
         return super().__getattr__(name)
-
-    def _arguments(self) -> set[str]:
-        return {arg.name for component in type(self._whole).all_components() for arg in component.args}
 
     logger = property(attrgetter("satellite.logger"), doc="Logger of the satellite.")
 
