@@ -313,15 +313,15 @@ class DynamicsView(SatelliteModelView):
             raise AttributeError(self._advice(name))
 
     @cached_property
-    def _oe(self) -> SimpleNamespace:
+    def _oe(self) -> dict[str, float]:
         """Orbital elements as they were when they were first read in the episode, as in bsk_rl."""
         elements = self._whole.elements
-        return SimpleNamespace(**{name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()})
+        return {name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()}
 
     def observed(self, function: Callable[[Now], object]) -> Any:
         """See :meth:`ModelView.observed`; orbital elements are those of the first moment at which one was read."""
         name = function.__name__
-        return self._elements_at_start()[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
+        return self._oe[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
 
     @property
     def _bound_targets(self) -> dict[str, Satellite]:
@@ -366,10 +366,6 @@ class DynamicsView(SatelliteModelView):
         if log_failure and not near:
             self.satellite.logger.warning("failed range_valid check")
         return near
-
-
-for _name, _element in ELEMENTS.items():
-    setattr(DynamicsView, _name, property(attrgetter(f"_oe.{_element}")))
 
 
 class FlightSoftwareView(SatelliteModelView):
