@@ -315,7 +315,7 @@ class MixedReward(RewarderGroup):
         self.scenario_mapping = None if scenario_mapping is None else as_dictionary("scenario_mapping", scenario_mapping)
         check_channels(self.rewarders, self.satellite_mapping, self.scenario_mapping)
 
-    def link_scenario(self, scenario: Any) -> None:
+    def link_scenario(self, scenario: Scenario) -> None:
         """Give each rewarder its scenario.
 
         Raises:

@@ -25,7 +25,7 @@ from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.imaging import ImagingSatellite
-from bsk_torch.sats.opportunities import names_of, target_names
+from bsk_torch.sats.opportunities import Opportunities, names_of, target_names
 from bsk_torch.sim.access.windows.search import MAX_SEGMENTS
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.names import nearest
@@ -259,7 +259,7 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
         place, now = torch.arange(places.count).unsqueeze(0), self._whole.simulator.sim_time[row].unsqueeze(-1)
         return places.position(row.to(now.device), place.to(now.device), now)[0].cpu().numpy()
 
-    def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:
+    def of_windows(self, kind: str, windows: Opportunities, padding: bool = False) -> list[OneOpportunity]:
         """Return windows [N, W] of a type, with or without their ``padding``, as opportunities of this row."""
         opportunities, r_LP_P = [], self._positions(kind)
         columns = (table[self._row].tolist() for table in (windows.place, windows.open, windows.close))

@@ -28,6 +28,7 @@ from bsk_torch.sim.run.encounters import LEFT, MET
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
+    from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
 
@@ -99,7 +100,7 @@ class Simulator:
     def __init__(
         self,
         satellites: Sequence[Satellite],
-        world_type: Any,
+        world_type: type[WorldModel],
         world_args: Mapping[str, object],
         sim_rate: float = 1.0,
         max_step_duration: float = 600.0,
@@ -157,7 +158,7 @@ class Simulator:
         """Basilisk's clock: ``CurrentNanos``, time since reset, ns."""
         return SimpleNamespace(CurrentNanos=self.sim_time_ns)
 
-    def get_satellite(self, name: str) -> Any:
+    def get_satellite(self, name: str) -> Satellite:
         """Return the satellite of a name; ValueError if there is none."""
         for satellite in self.satellites:
             if satellite.name == name:
@@ -220,7 +221,7 @@ class Simulator:
         actionList: Sequence[str] | None = None,
         conditionTime: int | None = None,
         conditionFunction: Callable[[Any], object] | None = None,
-        actionFunction: Callable[[Any], object] | None = None,
+        actionFunction: Callable[[Simulator], object] | None = None,
         terminal: bool = False,
         exactRateMatch: bool = True,
     ) -> None:

@@ -72,7 +72,7 @@ class Part(Resetable):
         self.simulator = simulator
 
 
-def _passing(hook: str) -> Callable[[Any], None]:
+def _passing(hook: str) -> Callable[[ResetableGroup], None]:
     def passed(self: ResetableGroup) -> None:
         getattr(super(ResetableGroup, self), hook)()
         for part in self._parts():
