@@ -219,15 +219,6 @@ def _same(value: object, default: object) -> bool:
     return not callable(value) and type(value) is type(default) and bool(np.all(value == default))
 
 
-def check_satellite(satellite: Satellite, untouched: object) -> None:
-    """Raise NotBatchedError for changes of a satellite that the core's satellites do not know."""
-    check_attributes(f"satellite {satellite.name}", satellite, untouched)
-    if satellite.observation_builder.obs_type is not np.ndarray:
-        raise NotBatchedError(f"obs_type={satellite.observation_builder.obs_type!r}; vectors can be batched")
-    if getattr(satellite, "access_filter_functions", ()) or getattr(satellite, "target_types", TARGET_KIND) != TARGET_KIND:
-        raise NotBatchedError(f"satellite {satellite.name} has access filters, or looks for other types than {TARGET_KIND!r}")
-
-
 def check_models(*models: type) -> None:
     """Raise NotBatchedError for models with hooks that run for one episode."""
     for model in models:
@@ -243,12 +234,15 @@ def core_satellite(satellite: Satellite) -> core_sats.Satellite:
         if added := sorted(vars(kind).keys() - BODY - IGNORED):
             raise NotBatchedError(f"{kind.__name__} has custom code, for one episode: {', '.join(added)}")
     check_models(satellite.dyn_type, satellite.fsw_type)
-    untouched = type(satellite)(satellite.name)
-    check_satellite(satellite, untouched)
+    untouched, builder = type(satellite)(satellite.name), satellite.observation_builder
+    check_attributes(f"satellite {satellite.name}", satellite, untouched)
+    if builder.obs_type is not np.ndarray:
+        raise NotBatchedError(f"obs_type={builder.obs_type!r}; vectors can be batched")
+    if getattr(satellite, "access_filter_functions", ()) or getattr(satellite, "target_types", TARGET_KIND) != TARGET_KIND:
+        raise NotBatchedError(f"satellite {satellite.name} has access filters, or looks for other types than {TARGET_KIND!r}")
     sat_args = changed_arguments(satellite.sat_args_generator, untouched.sat_args_generator)
     if "utc_init" in sat_args:
         raise NotBatchedError("utc_init is among sat_args; write it among world_args")
-    builder = satellite.observation_builder
     body = {
         "observation_spec": [counterpart(entry, *observed_entries(entry)) for entry in builder.observation_spec],
         "action_spec": [counterpart(entry) for entry in satellite.action_builder.action_spec],
@@ -259,13 +253,6 @@ def core_satellite(satellite: Satellite) -> core_sats.Satellite:
     made = type(type(satellite).__name__, (SATELLITES[base],), body)
     options = {name: getattr(satellite, name) for name in GENERATION if hasattr(satellite, name)}
     return made(satellite.name, sat_args, variable_interval=bool(satellite.variable_interval), dtype=builder.dtype, **options)
-
-
-def named_arguments(args: Sequence[object], kwargs: Mapping[str, object]) -> dict[str, Any]:
-    """Return the arguments that an environment was made with, by name."""
-    named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
-    bound = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named)
-    return {name: value for name, value in bound.arguments.items() if name != "self"}
 
 
 def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_envs: int, adapt: bool) -> Tasking:
@@ -286,7 +273,8 @@ def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_e
         raise NotBatchedError(f"{type(env).__name__} has no batched vector form; {[kind.__name__ for kind in CORES]} have")
     if agents := [name for name in AGENT_ARGUMENTS if name in kwargs]:
         raise NotBatchedError(f"{agents[0]}: agents of several satellites have no batched vector form")
-    arguments = named_arguments(args, kwargs)
+    named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
+    arguments = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named).arguments
     several = type(env.rewarder) is ComposedReward
     parts = env.rewarder.rewarders if several else [env.rewarder]
     try:

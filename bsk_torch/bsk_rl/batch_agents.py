@@ -20,6 +20,7 @@ from bsk_torch.env import NO_ACTION
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.core import as_numpy, begin
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
+from bsk_torch.wrappers.tasks import ends
 
 ByAgent = dict[Any, Any]
 """Arrays [N, ...] by agent."""
@@ -40,6 +41,8 @@ AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 class AgentsVector:
     """N constellations: PettingZoo's parallel interface, with arrays of all environments by agent.
 
+    An environment starts its next episode in the step after the end, which ignores its actions (``NEXT_STEP``), or in
+    ``reset(options={"reset_mask": ended})`` (``DISABLED``).
     Actions, observations, rewards, terminations, truncations and infos are dictionaries by agent, of arrays [N, ...]. Entries of
     agents that have left an environment are zero; ``infos[agent]["present"]`` [N] marks the environments in which an agent was
     part of the step. An episode is over when its agents have left, or are all terminated or truncated.
@@ -119,7 +122,6 @@ class BatchedAgentsVectorEnv(AgentsVector):
     """
 
     def __init__(self, core: Constellation, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
-        """Wrap a simulation; ``autoreset_mode`` is ``NEXT_STEP`` or ``DISABLED``."""
         self.core = core
         self._seats, observation_spaces, action_spaces = dict[object, Seat](), ByAgent(), ByAgent()
         dtype = torch.empty(0, dtype=core.dtype).numpy().dtype.type
@@ -190,7 +192,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
         self._check_step(actions)
         waiting, before = self._over, self._present
         results = self.core.play(self._tables(actions), ~waiting)
-        ended, cut = self._ends()
+        ended, cut = ends(self.core)
         moved = before & ~waiting.unsqueeze(-1)
         remaining = moved & ~self.core.dead & ~cut.unsqueeze(-1)
         self._present = torch.where(waiting.unsqueeze(-1), before, remaining)
@@ -220,13 +222,6 @@ class BatchedAgentsVectorEnv(AgentsVector):
             table, acts = tables[seat.group], self._present[:, seat.column] & ~self._over
             table[:, seat.number] = torch.where(acts, torch.as_tensor(chosen), table[:, seat.number])
         return list(tables.values())
-
-    def _ends(self) -> tuple[Tensor, Tensor]:
-        """Return which satellites are terminated, [N, S], and which episodes are truncated, [N]."""
-        core = self.core
-        cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
-        ended = core.dead | (core.checked.terminated() & core.present)
-        return (ended | cut.unsqueeze(-1) if core.terminate_on_time_limit else ended), cut
 
     # -- results -------------------------------------------------------------------------------------------------------
 

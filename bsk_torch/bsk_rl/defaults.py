@@ -57,12 +57,7 @@ def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> d
 
 
 def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, object]:
-    """Return all arguments of satellites of two models, by name: constants, or functions that draw a value.
-
-    Args:
-        dyn_type: Dynamics model of the core, or a class derived from several.
-        fsw_type: Flight-software model, likewise.
-    """
+    """Return all arguments of satellites of two models, by name: constants, or functions that draw a value."""
     components = (*dyn_type.all_components(), *fsw_type.all_components())  # type: ignore[attr-defined]
     values = {**FIXED, **_values(components, without="utc_init")}
     args = _collected(dyn_type, _methods(dyn_type, DYN), values)

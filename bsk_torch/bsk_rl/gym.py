@@ -281,7 +281,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         for satellite in self.satellites:
             for each in (satellite, satellite.dynamics, satellite.fsw):
                 each.reset_during_sim_init()
-        self.simulator.finish_init()
         for part in (world, self.scenario, self.rewarder, self.communicator):
             part.reset_post_sim_init()
         for satellite in self.satellites:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib.machinery import ModuleSpec
 from typing import NoReturn
 
@@ -71,18 +71,22 @@ def check_arguments(kind: type, names: Iterable[str]) -> None:
             raise TypeError(f"{kind.__name__}({name}=...) is written as in bsk_rl before 1.3; write {renamed[name]} now")
 
 
-def renamed_in(module: str) -> Callable[[str], NoReturn]:
-    """Return ``__getattr__`` of a module, which tells what to write in place of a name of older versions."""
-    place = module.removeprefix(ROOT).strip(".")
+def advising(module: str, advice: Mapping[str, str]) -> Callable[[str], NoReturn]:
+    """Return ``__getattr__`` of a module, which raises ImportError with ``advice`` for names of bsk_rl that are not there."""
 
     def find(name: str) -> NoReturn:
-        if name in NAMES[place]:
-            raise ImportError(
-                f"{module}.{name} is a name of bsk_rl before 1.3; write {f'{place}.'.lstrip('.')}{NAMES[place][name]} now"
-            )
+        if name in advice:
+            raise ImportError(f"{module}.{name} {advice[name]}")
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
 
     return find
+
+
+def renamed_in(module: str) -> Callable[[str], NoReturn]:
+    """Return ``__getattr__`` of a module, which tells what to write in place of a name of older versions."""
+    place = module.removeprefix(ROOT).strip(".")
+    names = {name: f"{place}.{now}".lstrip(".") for name, now in NAMES[place].items()}
+    return advising(module, {name: f"is a name of bsk_rl before 1.3; write {now} now" for name, now in names.items()})
 
 
 class OlderModules:

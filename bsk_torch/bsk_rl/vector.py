@@ -43,20 +43,10 @@ def vector_form(
     args: Sequence[Any],
     kwargs: Mapping[str, Any],
 ) -> EpisodesVectorEnv | AgentsVectorEnv | BatchedVectorEnv | BatchedAgentsVectorEnv:
-    """Return N environments of a class as one; a log record describes how they are simulated.
+    """Return N environments of a class, made of the same arguments, as one; a log record describes how they are simulated.
 
-    Args:
-        make: Class of the environments.
-        num_envs: Number of environments N.
-        vectorize: ``"batched"`` for one simulation of all, also of custom rewarders and custom targets; ``"episodes"`` for N
-            simulations; ``"auto"`` for the first if no class is custom.
-        autoreset_mode: See :class:`gymnasium.vector.AutoresetMode`; None for ``NEXT_STEP``.
-        args: Arguments of each environment.
-        kwargs: Keyword arguments of each environment.
-
-    Raises:
-        NotBatchedError: With ``vectorize="batched"``, for a program that cannot be one simulation.
-        ValueError: For an argument that is not allowed.
+    With ``vectorize="batched"``, one simulation of all runs custom rewarders and custom targets, too; NotBatchedError for other
+    custom classes. With ``"auto"``, programs without custom classes are batched.
     """
     if vectorize not in FORMS:
         raise ValueError(f"vectorize={vectorize!r} must be one of {list(FORMS)}")
@@ -144,10 +134,7 @@ class EpisodesVectorEnv(SyncVectorEnv):
     """N environments side by side, as ``gymnasium.vector.VectorEnv``.
 
     With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``, to the last bit; later
-    episodes draw their seeds from ``env.np_random``, so that the first seed decides all of them.
-
-    Attributes:
-        envs: The environments, each in :class:`Alone`.
+    episodes draw their seeds from ``env.np_random``, so that the first seed decides all of them. ``envs`` are in :class:`Alone`.
     """
 
     def __init__(
@@ -155,7 +142,6 @@ class EpisodesVectorEnv(SyncVectorEnv):
         envs: Sequence[GeneralSatelliteTasking[object, object]],
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        """Put environments of the same spaces together."""
         alone = [Alone(env) for env in envs]
         super().__init__([lambda one=one: one for one in alone], autoreset_mode=parse_mode(autoreset_mode))  # type: ignore[misc]
 
@@ -180,25 +166,13 @@ def called(envs: Sequence[Any], name: str, *args: Any, **kwargs: Any) -> tuple[A
 class AgentsVectorEnv(AgentsVector):
     """N constellations side by side.
 
-    With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
-
-    Attributes:
-        envs: The environments, each in :class:`Alone`.
+    With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``. ``envs`` are in
+    :class:`Alone`.
     """
 
     def __init__(
         self, envs: Sequence[ConstellationTasking[object, object]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
     ) -> None:
-        """Put environments of the same agents together.
-
-        Args:
-            envs: The environments.
-            autoreset_mode: When an environment starts its next episode: in the step after the end, which ignores its actions
-                (``NEXT_STEP``), or in ``reset(options={"reset_mask": ended})`` (``DISABLED``).
-
-        Raises:
-            ValueError: For another mode.
-        """
         self.envs = [Alone(env) for env in envs]
         first = self.envs[0].env
         spaces_of = first.observation_space, first.action_space
@@ -215,9 +189,7 @@ class AgentsVectorEnv(AgentsVector):
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
-    def get_attr(self, name: str) -> tuple[object, ...]:
-        """Return an attribute of every environment."""
-        return self.call(name)
+    get_attr = call
 
     def set_attr(self, name: str, values: object) -> None:
         """Set an attribute: to one value everywhere, or to those of a list [N]; ValueError for a list of another length."""

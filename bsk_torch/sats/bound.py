@@ -345,9 +345,9 @@ def composed(described: type[Satellite], bound: type[BoundSatellite]) -> type[Bo
     bases: tuple[type[Satellite], ...] = (bound, described.bound_type)
     if not issubclass(described.bound_type, described):  # else it is the package's own, which comes last
         bases = (described, *bases)
-    unique = tuple(base for base in bases if not any(other is not base and issubclass(other, base) for other in bases))
+    unique = [base for base in dict.fromkeys(bases) if not any(other is not base and issubclass(other, base) for other in bases)]
     names = {"__module__": described.__module__, "__qualname__": described.__qualname__, "__doc__": described.__doc__}
-    return type(described.__name__, unique, names)
+    return type(described.__name__, tuple(unique), names)
 
 
 def link_entry(entry: Any, satellite: BoundSatellite) -> None:

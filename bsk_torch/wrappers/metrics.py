@@ -55,7 +55,6 @@ class EpisodeDataLogger:
         episode_data_callback: EpisodeCallback | None = None,
         satellite_data_callback: SatelliteCallback | None = None,
     ) -> None:
-        """Wrap a view of one episode."""
         super().__init__(env)  # type: ignore[call-arg]  # a wrapper follows in the order of bases
         callbacks = {"episode_data_callback": episode_data_callback, "satellite_data_callback": satellite_data_callback}
         for name, callback in callbacks.items():

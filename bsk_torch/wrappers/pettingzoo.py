@@ -24,7 +24,7 @@ from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, parse_render_mode
 from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space, unbounded
-from bsk_torch.wrappers.tasks import legal_tasks, read_one, read_task, satellite_infos
+from bsk_torch.wrappers.tasks import ends, legal_tasks, read_one, read_task, satellite_infos
 
 __all__ = ["PettingZooEnv", "parallel_env"]
 
@@ -179,7 +179,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, object, object]):
         if not live:
             return {}, {}, {}, {}, {COMMON: {"d_ts": 0.0}} if self._common else {}
         results = self._results = self.core.play(tables, torch.ones(1, dtype=torch.bool, device=self.core.device))
-        terminated, truncated = self._ends()
+        ended, cut = ends(self.core)
+        terminated, truncated = self._by_agent(ended), bool(cut)
         removed = self._by_agent(self.core.dead) if self.core.agents_stay else terminated
         self.agents = [agent for agent in live if not (removed[agent] or truncated)]
         return (
@@ -189,15 +190,6 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, object, object]):
             dict.fromkeys(live, truncated),
             self._infos(results, live),
         )
-
-    def _ends(self) -> tuple[dict[str, bool], bool]:
-        """Return which agents are terminated, and whether the episode is truncated."""
-        core = self.core
-        cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
-        ended = core.dead | (core.checked.terminated() & core.present)
-        if core.terminate_on_time_limit:
-            ended = ended | cut.unsqueeze(-1)
-        return self._by_agent(ended), bool(cut)
 
     def _by_agent(self, flags: Tensor) -> dict[str, bool]:
         """Return which agents have a satellite with a flag [1, S]."""

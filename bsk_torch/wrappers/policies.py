@@ -100,7 +100,6 @@ class WholePolicy(TensorDictModuleBase):
     """A function of a tensordict as a module."""
 
     def __init__(self, function: Callable[[TensorDictBase], TensorDictBase]) -> None:
-        """Call ``function``."""
         super().__init__()
         self.function = function
         self.in_keys: list[str] = []
@@ -176,7 +175,6 @@ class ModelPolicy(FunctionPolicy):
     """A model of Stable-Baselines3 as a module of tensordicts; models of sb3-contrib that take masks get them."""
 
     def __init__(self, model: Model, satellite: SatelliteGroup) -> None:
-        """Let ``model`` predict the actions of ``satellite``."""
         masked = "action_masks" in inspect.signature(model.predict).parameters
         title = f"the model {type(model).__name__}"
         super().__init__(model.predict, satellite, masked and form(satellite) is None, title)

@@ -24,6 +24,9 @@ VIEWS: dict[type, object] = {GeneralSatelliteTasking: GymJointEnv, Constellation
 
 CALLBACKS = ("episode_data_callback", "satellite_data_callback")
 
+HAS_RLLIB = all(map(find_spec, ("ray", "tree")))
+"""Whether RLlib is installed; Ray without it lacks the second package."""
+
 RAY = "needs Ray, which wants its own environment: pip install 'ray[rllib]==2.60.0'"
 
 
@@ -47,7 +50,7 @@ def unpack_config(env: type) -> type:
 
 def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
     """Return one episode of a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``, which is not modified."""
-    arguments, callbacks = _split(env_config)
+    arguments, callbacks = split(env_config)
     return EpisodeDataWrapper(GymEnv(SatelliteTasking, **arguments), **callbacks)
 
 
@@ -57,17 +60,17 @@ def constellation_tasking(env_config: Mapping[str, object]) -> object:
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
     except ImportError as error:
         raise ImportError(f"ConstellationTasking-RLlib {RAY}") from error
-    arguments, callbacks = _split(env_config)
+    arguments, callbacks = split(env_config)
     return ParallelPettingZooEnv(EpisodeDataParallelWrapper(PettingZooEnv(ConstellationTasking, **arguments), **callbacks))
 
 
-def _split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
+def split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of an environment, and the functions of its metrics, among those of RLlib's ``env_config``."""
     arguments = dict(env_config)
-    callbacks = {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
-    return arguments, callbacks
+    return arguments, {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
 
 
-if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
+if HAS_RLLIB:
     from ray.rllib.callbacks.callbacks import RLlibCallback
     from ray.tune.registry import register_env
 

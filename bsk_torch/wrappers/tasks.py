@@ -50,6 +50,13 @@ def read_one(where: str, value: object, satellite: SatelliteGroup, extra: int = 
     return read_values(where, value, satellite)
 
 
+def ends(core: ConstellationTasking) -> tuple[Tensor, Tensor]:
+    """Return which satellites are terminated, [N, S], and which episodes are truncated, [N]."""
+    cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
+    ended = core.dead | (core.checked.terminated() & core.present)
+    return (ended | cut.unsqueeze(-1) if core.terminate_on_time_limit else ended), cut
+
+
 def legal_tasks(core: ConstellationTasking) -> list[np.ndarray | None]:
     """Return which actions are legal as new tasks, [count, n_actions] int8 for each type of satellites; None of real numbers."""
     return [as_numpy(part.action_mask()).astype(np.int8) if mask_size(part) else None for part in core.satellites]

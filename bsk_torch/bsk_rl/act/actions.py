@@ -33,14 +33,9 @@ def select_action_builder(satellite: Satellite) -> ActionBuilder:
 
 
 class ActionBuilder(ABC, ResetableGroup):
-    """Chooses among the actions of a satellite.
-
-    Attributes:
-        action_spec: The actions, copies of those of the satellite's class.
-    """
+    """Chooses among the actions of a satellite, ``action_spec``: copies of those of its class."""
 
     def __init__(self, satellite: Satellite) -> None:
-        """Copy and link the actions of a satellite."""
         self.satellite = satellite
         self.simulator: Any = None
         self.action_spec: Any = deepcopy(list(satellite.action_spec))
@@ -79,7 +74,6 @@ class Action(ABC, Part):
     builder_type: ClassVar[type[ActionBuilder]]
 
     def __init__(self, name: str = "act") -> None:
-        """Name the action."""
         self.name = name
 
     @property

@@ -45,7 +45,6 @@ class ContinuousAction(Action):
     builder_type = ContinuousActionBuilder
 
     def __init__(self, name: str = "discrete_act") -> None:
-        """Name the action."""
         super().__init__(name=name)
 
     @property

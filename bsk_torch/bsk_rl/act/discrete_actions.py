@@ -21,11 +21,7 @@ logger = logging.getLogger(__name__)
 
 
 class DiscreteActionBuilder(ActionBuilder):
-    """Selects an action by its index.
-
-    Attributes:
-        prev_action_key: Key returned by the last action; None at the start of an episode.
-    """
+    """Selects an action by its index; ``prev_action_key`` was returned by the last one, None at the start of an episode."""
 
     @override
     def __init__(self, satellite: Satellite) -> None:

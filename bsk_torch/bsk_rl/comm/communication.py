@@ -7,9 +7,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from itertools import permutations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
@@ -101,13 +101,6 @@ class FreeCommunication(CommunicationMethod):
         return list(permutations(self.satellites, 2))
 
 
-class SightLog(NamedTuple):
-    """What Basilisk's recorder keeps of the sight of one satellite by another one."""
-
-    hasAccess: np.ndarray
-    """1 in ticks with a line of sight and 0 in others, [T]."""
-
-
 class LOSCommunication(CommunicationMethod):
     """Satellites exchange data if they had a line of sight to each other, not blocked by the Earth, at any time in the step."""
 
@@ -129,12 +122,16 @@ class LOSCommunication(CommunicationMethod):
         self._cleared = 0.0
 
     @property
-    def los_logs(self) -> dict[object, dict[object, SightLog]]:
-        """Logs of the current step by sensor and other satellite; empty after :meth:`communicate`, as in bsk_rl."""
+    def los_logs(self) -> dict[object, dict[object, SimpleNamespace]]:
+        """Logs of the current step by sensor and other satellite; empty after :meth:`communicate`, as in bsk_rl.
+
+        Their ``hasAccess`` is 1 in ticks with a line of sight and 0 in others, [T].
+        """
         simulator = self.satellites[0].simulator
         sights = simulator.recorded_sights()[: 0 if simulator.sim_time == self._cleared else None]
         numbered = list(enumerate(self.satellites))
-        return {one: {other: SightLog(sights[:, i, j].astype(int)) for j, other in numbered if j != i} for i, one in numbered}
+        logs = [[SimpleNamespace(hasAccess=access) for access in row] for row in sights.transpose(1, 2, 0).astype(int)]
+        return {one: {other: logs[i][j] for j, other in numbered if j != i} for i, one in numbered}
 
     def communication_pairs(self) -> Pairs:
         """See :meth:`CommunicationMethod.communication_pairs`; as in bsk_rl, both directions are listed for each sensor."""

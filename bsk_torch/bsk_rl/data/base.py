@@ -103,7 +103,6 @@ class GlobalReward(ABC, Resetable):
     scenario: Any
 
     def __init__(self) -> None:
-        """Set the type of data to that of the stores."""
         if not hasattr(type(self), "data_store_type"):
             self.data_store_type = self.datastore_type
         self.data_type: Any = self.data_store_type.data_type

@@ -37,7 +37,6 @@ class ComposedData(Data):
     """One unit of each kind of data; its attributes are those of the first that has them."""
 
     def __init__(self, *data: Data) -> None:
-        """Combine units of data, one of each kind."""
         self.data = data
 
     def __add__(self, other: ComposedData) -> ComposedData:
@@ -147,7 +146,6 @@ class ComposedReward(RewarderGroup):
     data_store_type = ComposedDataStore
 
     def __init__(self, *rewarders: GlobalReward) -> None:
-        """Combine rewarders, whose rewards are added."""
         super().__init__()
         self.rewarders = rewarders
 
@@ -226,7 +224,6 @@ class MixedData(Data):
     """
 
     def __init__(self, data: Mapping[str, Data] | None = None) -> None:
-        """Combine units of data by channel."""
         self.data = dict(data or {})
 
     def __add__(self, other: MixedData) -> MixedData:
@@ -318,7 +315,7 @@ class MixedReward(RewarderGroup):
         self.scenario_mapping = None if scenario_mapping is None else as_dictionary("scenario_mapping", scenario_mapping)
         check_channels(self.rewarders, self.satellite_mapping, self.scenario_mapping)
 
-    def link_scenario(self, scenario: Any) -> None:
+    def link_scenario(self, scenario: Scenario) -> None:
         """Give each rewarder its scenario.
 
         Raises:

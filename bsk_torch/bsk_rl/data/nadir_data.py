@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 
 
+@dataclass(eq=False)
 class ScanningTime(Data):
     """Time for which the instrument has recorded, s."""
 
-    def __init__(self, scanning_time: float = 0.0) -> None:
-        """Initialize with a time, s."""
-        self.scanning_time = scanning_time
+    scanning_time: float = 0.0
 
     def __add__(self, other: ScanningTime) -> ScanningTime:
         return type(self)(self.scanning_time + other.scanning_time)

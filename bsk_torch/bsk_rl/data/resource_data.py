@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from typing_extensions import override
@@ -18,18 +19,14 @@ def nothing(satellite: object) -> float:
     return 0.0
 
 
+@dataclass(eq=False)
 class ResourceData(Data):
     """Change of a quantity."""
 
-    def __init__(self, resource_accumulated: float = 0.0) -> None:
-        """Initialize with a change of the quantity."""
-        self.resource_accumulated = resource_accumulated
+    resource_accumulated: float = 0.0
 
     def __add__(self, other: ResourceData) -> ResourceData:
         return ResourceData(self.resource_accumulated + other.resource_accumulated)
-
-    def __repr__(self) -> str:
-        return f"ResourceData(resource_accumulated={self.resource_accumulated})"
 
 
 class ResourceDataStore(DataStore):

@@ -11,7 +11,6 @@ from typing_extensions import override
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.rso_points import RSOPoint
 from bsk_torch.bsk_rl.sim.inspection import Found
-from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.tasks.inspection import RSOInspectorDynModel
 
 if TYPE_CHECKING:
@@ -64,11 +63,7 @@ def _either(one: Status, other: Status) -> Status:
 
 
 class RSOInspectionDataStore(DataStore):
-    """Reads the points inspected in a step from ``scenario.inspection``; the RSO itself inspects none.
-
-    Attributes:
-        role: ``"inspector"`` or ``"rso"``.
-    """
+    """Reads the points inspected in a step from ``scenario.inspection``; the RSO itself, by its ``role``, inspects none."""
 
     data_type = RSOInspectionData
 
@@ -157,11 +152,9 @@ class RSOInspectionReward(GlobalReward):
             return RSOInspectionData()
         return RSOInspectionData(*(dict.fromkeys(self.scenario.rso_points, False) for _ in range(2)))
 
-    @vizard.visualize
     def determine_point_colors(self, total_data: RSOInspectionData, new_data_dict: dict[str, RSOInspectionData]) -> None:
         """Choose the colors of points in Vizard."""
 
-    @vizard.visualize
     def update_point_colors(self, rso_points: list[RSOPoint], colors: object, alpha: float = 0.5) -> None:
         """Color points in Vizard."""
 

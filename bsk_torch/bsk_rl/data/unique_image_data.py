@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.targets import Target
-from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.sim.places import is_target
 
 
@@ -59,17 +59,15 @@ class UniqueImageStore(DataStore):
         self.update_target_colors([target])
         return UniqueImageData(imaged={target})
 
-    @vizard.visualize
     def update_target_colors(self, targets: list[Target], vizInstance: object = None, vizSupport: object = None) -> None:
         """Color targets in Vizard."""
 
 
+@dataclass(eq=False)
 class HideImaged:
     """Access filter that hides the targets that a store has imaged."""
 
-    def __init__(self, store: Any) -> None:
-        """Hide the targets in ``store.data.imaged``."""
-        self.store = store
+    store: Any
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:
         """Return whether an opportunity is none of these."""

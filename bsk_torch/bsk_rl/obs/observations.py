@@ -142,7 +142,6 @@ class Observation(ABC, Part):
     """Part of an observation. Subclasses define :meth:`get_obs`."""
 
     def __init__(self, name: str = "obs") -> None:
-        """Name the observation."""
         self.name = name
 
     @abstractmethod
@@ -168,11 +167,6 @@ class SatProperties(Observation):
             if "name" not in entry:
                 name_entry(entry, entry["prop"])
         self.obs_properties = obs_properties
-
-    @property
-    def property_names(self) -> list[str]:
-        """Names of the properties of models."""
-        return [entry["prop"] for entry in self.obs_properties if "fn" not in entry]
 
     def reset_post_sim_init(self) -> None:
         """Find the models that have the properties; AttributeError if none has."""

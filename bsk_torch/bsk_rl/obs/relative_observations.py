@@ -18,27 +18,6 @@ if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
 
 
-__all__ = [
-    "RelativeProperties",
-    "r_DC_C",
-    "r_DC_D",
-    "r_DC_Hc",
-    "r_DC_Hd",
-    "r_DC_N",
-    "rso_imaged_regions",
-    "rso_omega_BH",
-    "rso_sigma_BH",
-    "sigma_DC",
-    "sigma_DHc",
-    "sigma_HdC",
-    "sigma_HdHc",
-    "v_DC_C",
-    "v_DC_D",
-    "v_DC_Hc",
-    "v_DC_Hd",
-    "v_DC_N",
-]
-
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
 """Centers of the six regions of a surface that are told apart by default."""
 
@@ -47,9 +26,11 @@ def _mrp(matrix: object) -> np.ndarray:
     return dcm_to_mrp(Mat3.of(torch.as_tensor(np.asarray(matrix, dtype=float)))).stack().numpy()
 
 
-def _rate_N(satellite: Satellite) -> np.ndarray:
-    """Return the rate of the Hill frame, rad/s in N."""
-    return rv2omega(satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N)
+CHIEF, DEPUTY = 1, 0
+"""Places of the satellites in the calls of the functions here, ``(deputy, chief)``."""
+
+Relative = Callable[["Satellite", "Satellite"], np.ndarray]
+"""A function of deputy and chief."""
 
 
 def r_DC_N(deputy: Satellite, chief: Satellite) -> np.ndarray:
@@ -62,71 +43,39 @@ def v_DC_N(deputy: Satellite, chief: Satellite) -> np.ndarray:
     return np.array(deputy.dynamics.v_BN_N) - np.array(chief.dynamics.v_BN_N)
 
 
-def r_DC_Hc(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative position in the chief's Hill frame, m."""
-    return chief.dynamics.HN @ r_DC_N(deputy, chief)
+def _seen_from(owner: int, axes: str) -> tuple[Relative, Relative]:
+    """Return the relative position, m, and the relative velocity as seen from a frame, m/s, in that frame of a satellite."""
+
+    def position(*pair: Satellite) -> np.ndarray:
+        return getattr(pair[owner].dynamics, axes) @ r_DC_N(*pair)
+
+    def velocity(*pair: Satellite) -> np.ndarray:
+        model = pair[owner].dynamics
+        rate_N = rv2omega(model.r_BN_N, model.v_BN_N) if axes == "HN" else model.BN.T @ model.omega_BN_B
+        return getattr(model, axes) @ (v_DC_N(*pair) - np.cross(rate_N, r_DC_N(*pair)))
+
+    return position, velocity
 
 
-def v_DC_Hc(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative velocity as seen from the chief's Hill frame, m/s in that frame."""
-    return chief.dynamics.HN @ (v_DC_N(deputy, chief) - np.cross(_rate_N(chief), r_DC_N(deputy, chief)))
+def _attitude(owner: int, axes: str, other: int, other_axes: str) -> Relative:
+    """Return the attitude of a frame of a satellite relative to another frame, an MRP."""
+
+    def attitude(*pair: Satellite) -> np.ndarray:
+        return _mrp(getattr(pair[owner].dynamics, axes) @ getattr(pair[other].dynamics, other_axes).T)
+
+    return attitude
 
 
-def r_DC_Hd(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative position in the deputy's Hill frame, m."""
-    return deputy.dynamics.HN @ r_DC_N(deputy, chief)
-
-
-def v_DC_Hd(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative velocity as seen from the deputy's Hill frame, m/s in that frame."""
-    return deputy.dynamics.HN @ (v_DC_N(deputy, chief) - np.cross(_rate_N(deputy), r_DC_N(deputy, chief)))
-
-
-def r_DC_C(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative position in the chief's body frame, m."""
-    return chief.dynamics.BN @ r_DC_N(deputy, chief)
-
-
-def r_DC_D(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative position in the deputy's body frame, m."""
-    return deputy.dynamics.BN @ r_DC_N(deputy, chief)
-
-
-def v_DC_C(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative velocity as seen from the chief's body frame, m/s in that frame."""
-    velocity_N = v_DC_N(deputy, chief) - np.cross(chief.dynamics.BN.T @ chief.dynamics.omega_BN_B, r_DC_N(deputy, chief))
-    return chief.dynamics.BN @ velocity_N
-
-
-def v_DC_D(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the relative velocity as seen from the deputy's body frame, m/s in that frame."""
-    velocity_N = v_DC_N(deputy, chief) - np.cross(deputy.dynamics.BN.T @ deputy.dynamics.omega_BN_B, r_DC_N(deputy, chief))
-    return deputy.dynamics.BN @ velocity_N
-
-
-def sigma_DC(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the attitude of the deputy's body relative to the chief's, an MRP."""
-    return _mrp(deputy.dynamics.BN @ chief.dynamics.BN.T)
-
-
-def sigma_DHc(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the attitude of the deputy's body relative to the chief's Hill frame, an MRP."""
-    return _mrp(deputy.dynamics.BN @ chief.dynamics.HN.T)
-
-
-def sigma_HdC(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the attitude of the deputy's Hill frame relative to the chief's body, an MRP."""
-    return _mrp(deputy.dynamics.HN @ chief.dynamics.BN.T)
-
-
-def sigma_HdHc(deputy: Satellite, chief: Satellite) -> np.ndarray:
-    """Return the attitude of the deputy's Hill frame relative to the chief's, an MRP."""
-    return _mrp(deputy.dynamics.HN @ chief.dynamics.HN.T)
-
-
-def rso_sigma_BH(_: object, rso: Satellite) -> np.ndarray:
-    """Return the attitude of the chief's body relative to its Hill frame, an MRP."""
-    return _mrp(rso.dynamics.BN @ rso.dynamics.HN.T)
+# in Hill frames Hc and Hd, and in the bodies C and D, of chief and deputy
+r_DC_Hc, v_DC_Hc = _seen_from(CHIEF, "HN")
+r_DC_Hd, v_DC_Hd = _seen_from(DEPUTY, "HN")
+r_DC_C, v_DC_C = _seen_from(CHIEF, "BN")
+r_DC_D, v_DC_D = _seen_from(DEPUTY, "BN")
+sigma_DC = _attitude(DEPUTY, "BN", CHIEF, "BN")
+sigma_DHc = _attitude(DEPUTY, "BN", CHIEF, "HN")
+sigma_HdC = _attitude(DEPUTY, "HN", CHIEF, "BN")
+sigma_HdHc = _attitude(DEPUTY, "HN", CHIEF, "HN")
+rso_sigma_BH = _attitude(CHIEF, "BN", CHIEF, "HN")
 
 
 def rso_omega_BH(_: object, rso: Satellite) -> np.ndarray:
@@ -163,10 +112,12 @@ def rso_imaged_regions(
     return imaged / np.maximum(total, 1)
 
 
-PRESETS: dict[str, Callable[[Satellite, Satellite], np.ndarray]] = {
-    name: value for name, value in list(globals().items()) if name in __all__ and name != "RelativeProperties"
+PRESETS: dict[str, Relative] = {
+    name: value for name, value in list(globals().items()) if name.startswith(("r_DC_", "v_DC_", "sigma_", "rso_"))
 }
 """Functions of deputy and chief by name."""
+
+__all__ = ["RelativeProperties", *PRESETS]
 
 
 class RelativeProperties(Observation):

@@ -27,7 +27,6 @@ class StoringSatellite:
     """
 
     def __init__(self, one: OneSatellite) -> None:
-        """Add attributes to a view."""
         self.__dict__.update(_one=one, _filters=[])
 
     _one: OneSatellite
@@ -67,7 +66,6 @@ class SingleScenario(OneView):
     """The scenario in one episode, as rewarders of one episode read it."""
 
     def __init__(self, whole: object, env: int, satellites: list[StoringSatellite]) -> None:
-        """View episode ``env`` of a scenario."""
         super().__init__(whole, env)
         self.__dict__["satellites"] = satellites
 
@@ -80,17 +78,9 @@ class SingleScenario(OneView):
 
 
 class Record:
-    """A rewarder of one episode, and the satellites with their stores, of one episode.
-
-    Attributes:
-        rewarder: Copy of the user's rewarder.
-        satellites: Satellites by their number in the episode.
-        scenario: View of the scenario.
-        steps: Steps that have been scored.
-    """
+    """Copy of the user's rewarder, and the satellites with their stores, of one episode; ``steps`` have been scored."""
 
     def __init__(self, rewarder: GlobalReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
-        """Put the parts together; see :meth:`begin`."""
         self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
 
     def begin(self) -> None:

@@ -22,18 +22,11 @@ if TYPE_CHECKING:
 
 
 class PerEpisodeReward(GlobalReward):
-    """Runs a rewarder of one episode for each episode, with separate stores for each.
+    """Runs a deep copy of a rewarder of one episode for each episode, with separate stores for each."""
 
-    Attributes:
-        original: The rewarder of one episode; every episode begins with a deep copy of it.
-        records: Rewarder and stores of each episode, part of the state.
-    """
-
-    original: OneReward
     records: RecordTable
 
     def __init__(self, rewarder: OneReward) -> None:
-        """Run copies of ``rewarder``."""
         self.original = rewarder
 
     @override

@@ -40,11 +40,7 @@ NOT_CALLED = (
 
 
 class PerEpisodeTargets(UniformTargets):
-    """Lets a scenario of one episode make the targets of each episode.
-
-    Attributes:
-        original: The scenario of one episode; a deep copy of it makes the targets of an episode.
-    """
+    """Lets a deep copy of a scenario of one episode make the targets of each episode."""
 
     def __init__(self, targets: OneTargets) -> None:
         """Run copies of ``targets``; TypeError for one with hooks that would not be called."""

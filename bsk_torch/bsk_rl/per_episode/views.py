@@ -8,7 +8,8 @@ numbers of that row, and properties and methods of a user's models run with the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property, partial
+from functools import cached_property
+from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -18,14 +19,13 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
 from bsk_torch.bsk_rl.sats.access_satellite import OpportunityQueries, Types, Window
-from bsk_torch.bsk_rl.sim import messages
-from bsk_torch.bsk_rl.sim.commands import Commanded
+from bsk_torch.bsk_rl.sim.commands import module_of
 from bsk_torch.bsk_rl.sim.views import of_row
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.imaging import ImagingSatellite
-from bsk_torch.sats.opportunities import names_of, target_names
+from bsk_torch.sats.opportunities import Opportunities, names_of, target_names
 from bsk_torch.sim.access.windows.search import MAX_SEGMENTS
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.names import nearest
@@ -43,7 +43,6 @@ class OneView:
     """
 
     def __init__(self, whole: object, row: int) -> None:
-        """View row number ``row``."""
         self.__dict__.update(_whole=whole, _row=row)
 
     _whole: Any
@@ -82,7 +81,6 @@ class OneArguments(Mapping[str, Any]):
     """Arguments of the current episode by name: numbers, NumPy arrays, and what is neither."""
 
     def __init__(self, whole: Mapping[str, object], row: int) -> None:
-        """View row number ``row`` of the arguments [N, ...] of all rows."""
         self._whole, self._row = whole, row
 
     def __getitem__(self, name: str) -> Any:
@@ -99,81 +97,36 @@ class OneSimulator(OneView):
     """The simulation at one row: time, world, and declared memory."""
 
     def __init__(self, satellite: BoundSatellite, row: int) -> None:
-        """View the simulation of a satellite."""
         super().__init__(satellite.simulator, row)
         self.__dict__["_satellite"] = satellite
 
     _satellite: BoundSatellite
-
-    @property
-    def time_limit(self) -> float:
-        """Time limit of the episode, s."""
-        return of_row(self._satellite.time_limit, self._row)
-
-    @property
-    def sim_time_ns(self) -> int:
-        """Time since reset, ns."""
-        return of_row(self._whole.state.sim_time_ns, self._row)
-
-    @property
-    def sim_rate(self) -> float:
-        """Length of a tick, s."""
-        return self._whole.h
-
-    @property
-    def world(self) -> OneView:
-        """Sun, Earth and ground stations."""
-        return OneView(self._whole.world, self._row)
+    sim_rate = property(attrgetter("_whole.h"), doc="Length of a tick, s.")
+    time_limit = property(lambda view: of_row(view._satellite.time_limit, view._row), doc="Time limit of the episode, s.")
+    sim_time_ns = property(lambda view: of_row(view._whole.state.sim_time_ns, view._row), doc="Time since reset, ns.")
+    world = property(lambda view: OneView(view._whole.world, view._row), doc="Sun, Earth and ground stations.")
+    memory = property(lambda view: OneArguments(view._whole.memory, view._row), doc="Declared values of the row by name.")
 
     def get_satellite(self, name: str) -> OneSatellite:
         """Return a satellite of the episode; KeyError for an unknown name."""
         return OneOthers(self._satellite.fleet, self._row // self._satellite.simulator.count)[name]
 
-    @property
-    def memory(self) -> OneArguments:
-        """Declared values of the row by name."""
-        return OneArguments(self._whole.memory, self._row)
-
 
 class OneModel(OneView):
-    """A dynamics or flight-software model at one row."""
+    """A dynamics or flight-software model at one row; Basilisk's usual modules of dynamics are attributes."""
 
     @property
     def satellite(self) -> OneSatellite:
         """The satellite."""
         return view_of(self._whole.satellite, self._row)
 
-    @property
-    def storageUnit(self) -> Commanded:
-        """Basilisk's store, with ``storageUnitDataOutMsg.read()``, bit; AttributeError for models without one."""
-        module = messages.MODULES["storageUnit"]
-        getattr(type(self._whole), module.needs)
-        return Commanded("storageUnit", lambda: None, partial(messages.read_of, self, module.attributes))
+    def __getattr__(self, name: str) -> Any:
+        return module_of(self, name, lambda: None) or super().__getattr__(name)
 
-    @property
-    def instrument(self) -> SimpleNamespace:
-        """Basilisk's instrument, with ``nodeBaudRate``, bit/s; AttributeError for models without one."""
-        return SimpleNamespace(nodeBaudRate=self.instrument_baud)
-
-    @property
-    def dynamics(self) -> OneModel:
-        """The dynamics model of the satellite."""
-        return self.satellite.dynamics
-
-    @property
-    def fsw(self) -> OneModel:
-        """The flight-software model of the satellite."""
-        return self.satellite.fsw
-
-    @property
-    def simulator(self) -> OneSimulator:
-        """The simulation."""
-        return self.satellite.simulator
-
-    @property
-    def world(self) -> OneView:
-        """Sun, Earth and ground stations."""
-        return self.simulator.world
+    dynamics = property(attrgetter("satellite.dynamics"), doc="The dynamics model of the satellite.")
+    fsw = property(attrgetter("satellite.fsw"), doc="The flight-software model of the satellite.")
+    simulator = property(attrgetter("satellite.simulator"), doc="The simulation.")
+    world = property(attrgetter("simulator.world"), doc="Sun, Earth and ground stations.")
 
 
 class OneSatellite(OneView):
@@ -186,52 +139,21 @@ class OneSatellite(OneView):
     def __init__(self, satellite: BoundSatellite, row: int) -> None:
         """View the satellite of row ``row`` of all N of its type: number ``row % count`` of episode ``row // count``."""
         super().__init__(satellite, row)
-        self.__dict__["_env"], self.__dict__["_number"] = divmod(row, satellite.simulator.state.count)
+        self.__dict__["env"], self.__dict__["_number"] = divmod(row, satellite.simulator.state.count)
 
-    _env: int
+    env: int
+    """Number of the environment."""
     _number: int
 
-    @property
-    def name(self) -> str:
-        """Name of the satellite."""
-        return self._whole.names[self._number]
-
-    @property
-    def id(self) -> str:
-        """The name, as in bsk_rl."""
-        return self.name
-
-    @property
-    def env(self) -> int:
-        """Number of the environment."""
-        return self._env
-
-    @property
-    def simulator(self) -> OneSimulator:
-        """The simulation of the satellite."""
-        return OneSimulator(self._whole, self._row)
-
-    @property
-    def dynamics(self) -> OneModel:
-        """The dynamics model."""
-        return OneModel(self._whole.dynamics, self._row)
-
-    @property
-    def fsw(self) -> OneModel:
-        """The flight-software model."""
-        return OneModel(self._whole.fsw, self._row)
-
-    @property
-    def sat_args(self) -> OneArguments:
-        """Arguments of the current episode."""
-        return OneArguments(self._whole.sat_args, self._row)
-
-    model_args = sat_args
-
-    @property
-    def others(self) -> OneOthers:
-        """The satellites of the episode by name, itself included, as such views."""
-        return OneOthers(self._whole.fleet, self._env)
+    name = id = property(lambda view: view._whole.names[view._number], doc="Name of the satellite.")
+    simulator = property(lambda view: OneSimulator(view._whole, view._row), doc="The simulation of the satellite.")
+    dynamics = property(lambda view: OneModel(view._whole.dynamics, view._row), doc="The dynamics model.")
+    fsw = property(lambda view: OneModel(view._whole.fsw, view._row), doc="The flight-software model.")
+    sat_args = model_args = property(lambda view: OneArguments(view._whole.sat_args, view._row), doc="Arguments of the episode.")
+    others = property(
+        lambda view: OneOthers(view._whole.fleet, view.env), doc="All satellites of the episode by name, as such views."
+    )
+    scenario = property(lambda view: OneView(view._whole.scenario, view.env), doc="The scenario in the episode.")
 
     @property
     def data_store(self) -> object:
@@ -240,21 +162,15 @@ class OneSatellite(OneView):
         if isinstance(store, list):
             return store[self._row]
         scenario, images = self._whole.scenario, store.data
-        imaged = [scenario.target_object(self._env, k) for k in torch.nonzero(images.imaged[self._row]).squeeze(-1).tolist()]
+        imaged = [scenario.target_object(self.env, k) for k in torch.nonzero(images.imaged[self._row]).squeeze(-1).tolist()]
         duplicates = int(images.duplicates[self._row])
-        return SimpleNamespace(data=UniqueImageData(imaged, duplicates, scenario.target_objects(self._env)))
-
-    @property
-    def scenario(self) -> OneView:
-        """The scenario in the episode of the satellite."""
-        return OneView(self._whole.scenario, self._env)
+        return SimpleNamespace(data=UniqueImageData(imaged, duplicates, scenario.target_objects(self.env)))
 
 
 class OneOthers(Mapping[str, OneSatellite]):
     """The satellites of one episode by name, each as a view of one row."""
 
     def __init__(self, fleet: SatelliteFleet, env: int) -> None:
-        """Show the satellites of episode number ``env``."""
         self._fleet, self._env = fleet, env
 
     def __getitem__(self, name: str) -> OneSatellite:
@@ -276,7 +192,6 @@ class OneTarget:
     """
 
     def __init__(self, satellite: BoundAccessSatellite, env: int, index: int) -> None:
-        """Describe target number ``index`` of an environment."""
         self._satellite, self._env, self.id = satellite, env, index
 
     @property
@@ -329,7 +244,7 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
 
     def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
         if is_target(kind):
-            thing: object = OneTarget(self._whole, self._env, place)
+            thing: object = OneTarget(self._whole, self.env, place)
         else:
             thing = names_of(self._whole, kind)[place]
         made = OneOpportunity(object=thing, type=kind, r_LP_P=r_LP_P, **window)
@@ -339,12 +254,12 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
     def _positions(self, kind: str) -> NDArray[Any]:
         """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
         if is_target(kind):
-            return self._whole.scenario.r_LP_P[self._env].cpu().numpy()
+            return self._whole.scenario.r_LP_P[self.env].cpu().numpy()
         row, places = torch.tensor([self._row]), self._whole.simulator.access.kinds[kind]
         place, now = torch.arange(places.count).unsqueeze(0), self._whole.simulator.sim_time[row].unsqueeze(-1)
         return places.position(row.to(now.device), place.to(now.device), now)[0].cpu().numpy()
 
-    def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:
+    def of_windows(self, kind: str, windows: Opportunities, padding: bool = False) -> list[OneOpportunity]:
         """Return windows [N, W] of a type, with or without their ``padding``, as opportunities of this row."""
         opportunities, r_LP_P = [], self._positions(kind)
         columns = (table[self._row].tolist() for table in (windows.place, windows.open, windows.close))
@@ -443,13 +358,13 @@ class OneImagingSatellite(OneAccessSatellite):
     def latest_target(self) -> OneTarget | None:
         """Target that was chosen last; None before the first."""
         index = of_row(self._whole.latest_target, self._row)
-        return OneTarget(self._whole, self._env, index) if index >= 0 else None
+        return OneTarget(self._whole, self.env, index) if index >= 0 else None
 
     @property
     def known_targets(self) -> list[OneTarget]:
         """All targets of the environment."""
-        exists = self._whole.simulator.scenario_state["target_exists"][self._env]
-        return [OneTarget(self._whole, self._env, index) for index, flag in enumerate(exists.tolist()) if flag]
+        exists = self._whole.simulator.scenario_state["target_exists"][self.env]
+        return [OneTarget(self._whole, self.env, index) for index, flag in enumerate(exists.tolist()) if flag]
 
 
 def view_of(satellite: BoundSatellite, row: int) -> OneSatellite:

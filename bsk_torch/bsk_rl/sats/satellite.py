@@ -6,6 +6,7 @@ import keyword
 import logging
 from abc import ABC
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -68,18 +69,18 @@ class Satellite(ABC, ResetableGroup):
     @classmethod
     def get_dyn_type(cls) -> type[DynamicsModel]:
         """Return the dynamics model that ``dyn_type`` stands for."""
-        return compose(cls._given("dyn_type"), DynamicsModel, cls.__name__)
+        return cls._composed("dyn_type", DynamicsModel)
 
     @classmethod
     def get_fsw_type(cls) -> type[FSWModel]:
         """Return the flight-software model that ``fsw_type`` stands for."""
-        return compose(cls._given("fsw_type"), FSWModel, cls.__name__)
+        return cls._composed("fsw_type", FSWModel)
 
     @classmethod
-    def _given(cls, name: str) -> object:
+    def _composed(cls, name: str, base: type) -> Any:
         if not hasattr(cls, name):
             raise AttributeError(f"{cls.__name__} must set {name}")
-        return getattr(cls, name)
+        return compose(getattr(cls, name), base, cls.__name__)
 
     @classmethod
     def default_sat_args(cls, **kwargs: object) -> dict[str, object]:
@@ -135,20 +136,12 @@ class Satellite(ABC, ResetableGroup):
             raise ValueError(f"Satellite name must be a valid Python identifier, for example 'camera_a'; it is {value!r}")
         self._name = value
 
-    @property
-    def id(self) -> str:
-        """The name."""
-        return self.name
+    id = property(attrgetter("name"), doc="The name.")
 
     @property
     def holds_attitudes(self) -> bool:
         """Whether an action may command an attitude set-point, so that the flight software must know them."""
         return any(getattr(entry, "may_hold_attitude", True) for entry in self.action_builder.action_spec)
-
-    @property
-    def observed_properties(self) -> list[str]:
-        """Names of the model properties observed in every step."""
-        return [name for entry in self.observation_builder.observation_spec for name in getattr(entry, "property_names", ())]
 
     # -- an episode begins --------------------------------------------------------------------------------------------
 
@@ -200,33 +193,18 @@ class Satellite(ABC, ResetableGroup):
 
     # -- observations and actions -------------------------------------------------------------------------------------
 
-    @property
-    def observation_space(self) -> Any:
-        """Space of the observations, known after the first reset."""
-        return self.observation_builder.observation_space
+    observation_space = property(attrgetter("observation_builder.observation_space"), doc="Known after the first reset.")
+    observation_description = property(attrgetter("observation_builder.observation_description"), doc="Names of its entries.")
+    action_space = property(attrgetter("action_builder.action_space"), doc="Space of the actions.")
+    action_description = property(attrgetter("action_builder.action_description"), doc="Names of the actions.")
 
     def get_obs(self) -> Any:
         """Return the observation of the present."""
         return self.observation_builder.get_obs()
 
-    @property
-    def observation_description(self) -> object:
-        """Names of the entries of the observation."""
-        return self.observation_builder.observation_description
-
-    @property
-    def action_space(self) -> Any:
-        """Space of the actions."""
-        return self.action_builder.action_space
-
     def set_action(self, action: object) -> None:
         """Begin an action."""
         self.action_builder.set_action(action)
-
-    @property
-    def action_description(self) -> object:
-        """Names of the actions."""
-        return self.action_builder.action_description
 
     # -- life ---------------------------------------------------------------------------------------------------------
 

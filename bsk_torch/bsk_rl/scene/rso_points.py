@@ -12,7 +12,6 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.sim.inspection import Inspection
-from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.bsk_rl.utils.orbital import fibonacci_sphere
 from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel, RSOInspectorFSWModel
 
@@ -114,11 +113,9 @@ class RSOPoints(Scenario):
         places = self.rso.core_row, [inspector.core_row for inspector in self.inspectors]
         self.inspection = Inspection(simulator.fleet, *places, self.rso_points)
 
-    @vizard.visualize
     def visualize_rso_point(self, rso_point: RSOPoint, vizSupport: object = None, vizInstance: object = None) -> None:
         """Draw a point in Vizard."""
 
-    @vizard.visualize
     def setup_inspector_camera(self, inspector: object, vizSupport: object = None, vizInstance: object = None) -> None:
         """Show what an inspector sees in Vizard."""
 

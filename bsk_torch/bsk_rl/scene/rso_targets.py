@@ -24,13 +24,7 @@ __all__ = ["RSOPriorityEvent", "RSOTarget", "RSOTargetCatalog", "RSOTargets"]
 
 @dataclass
 class EpisodeTarget:
-    """A target of an episode.
-
-    Attributes:
-        definition: Its entry in the catalog.
-        target_spacecraft: The satellite in its place.
-        priority: Its priority now.
-    """
+    """A target of an episode: its entry in the catalog, the satellite in its place, and its present priority."""
 
     definition: RSOTarget
     target_spacecraft: Satellite

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
-from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.bsk_rl.utils.orbital import lla2ecef
 from bsk_torch.constants import R_EARTH
 from bsk_torch.scene.cities import city_table
@@ -31,7 +30,6 @@ class Target:
     """
 
     def __init__(self, name: str, r_LP_P: Iterable[float], priority: float) -> None:
-        """Initialize the target with a name, a position and a priority."""
         self.name, self.r_LP_P, self.priority = name, np.array(r_LP_P), priority
 
     @property
@@ -95,7 +93,6 @@ class UniformTargets(Scenario):
         for target in self.targets:
             self.visualize_target(target)
 
-    @vizard.visualize
     def visualize_target(self, target: Target, vizSupport: object = None, vizInstance: object = None) -> None:
         """Draw a target in Vizard."""
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from bsk_torch.bsk_rl.sim.messages import COMPONENT
+from bsk_torch.bsk_rl.sim.messages import COMPONENT, MODULES, read_of
 from bsk_torch.bsk_rl.sim.models import TASK_FLAGS
 from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -116,7 +117,6 @@ class Commanded:
     """A module that commands reset and switch: attributes that can be read, and the settings of a command."""
 
     def __init__(self, name: str, command: Callable[[], Command | None], read: Callable[[str], object]) -> None:
-        """View a module by its name in bsk_rl's models."""
         self.__dict__.update(_name=name, _command=command, _read=read)
 
     def __getattr__(self, name: str) -> Any:
@@ -149,3 +149,11 @@ class Commanded:
     def Reset(self, nanoseconds: int = 0) -> None:
         """Let the module begin again."""
         self._within("Reset").fields.update(RESETS.get(self._name, {}))
+
+
+def module_of(view: object, name: str, command: Callable[[], Command | None]) -> Commanded | None:
+    """Return a module of Basilisk's that the dynamics model of a view stands for; None for another name, or another model."""
+    module = MODULES.get(name)
+    if module is None or not hasattr(type(view.__dict__["_whole"]), module.needs):
+        return None
+    return Commanded(name, command, partial(read_of, view, module.attributes))

@@ -31,7 +31,7 @@ from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.initial_orbits import HIGHEST_APOAPSIS, LOWEST_PERIAPSIS
-from bsk_torch.sim.component import Arg, MissingMessageError, UserArguments
+from bsk_torch.sim.component import MissingMessageError, UserArguments
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
@@ -81,30 +81,15 @@ def described_type(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel], hold
 
 @functools.cache
 def _described(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel]) -> type[CoreSatellite]:
-    return type("Described", (CoreSatellite,), {"dyn_type": dyn_type, "fsw_type": fsw_type, "action_spec": (Anything(),)})
-
-
-class Anything(CoreAction):
-    """Stands for actions of the user, which may command anything."""
-
-    def __init__(self) -> None:
-        """Name it."""
-        super().__init__("anything")
-
-
-class Simulated(BoundSatellite):
-    """The satellites of one type, without observations and actions of the core."""
+    body = {"dyn_type": dyn_type, "fsw_type": fsw_type, "action_spec": (CoreAction("anything"),)}  # the user's may do anything
+    return type("Described", (CoreSatellite,), body)
 
 
 class Engine:
     """Builds the simulation of an environment's episodes, and starts each of them.
 
     What has been built is used again as long as the next episode has the same structure: the same models, the same arguments
-    that are None, the same stations.
-
-    Attributes:
-        fleet: The simulation of the current episode.
-        world: Arguments of its world.
+    that are None, the same stations. ``fleet`` is the simulation of the episode, and ``world`` the arguments of its world.
     """
 
     fleet: SatelliteFleet
@@ -125,11 +110,7 @@ class Engine:
         sim_rate: float,
         time_limit: float,
     ) -> SatelliteFleet:
-        """Start an episode with the drawn arguments of satellites and world; return its simulation.
-
-        Raises:
-            ValueError: For arguments that are not allowed.
-        """
+        """Start an episode with the drawn arguments of satellites and world; return its simulation."""
         self._values = [_own_values(satellite) for satellite in satellites]
         self.world, self._limit = world_args | changed_arguments(world_type, world_args), float(time_limit)
         world_type = core_world(world_type)  # type: ignore[arg-type]  # mypy: a class is not Hashable
@@ -152,12 +133,12 @@ class Engine:
     ) -> object:
         """Return what decides whether a simulation that has been built can be used again."""
         each = [
-            (s.name, t, s.variable_interval, _given(t.default_sat_args(), values))
+            (s.name, t, s.variable_interval, _fixed(t.default_sat_args(), values))
             for s, t, values in zip(satellites, types, self._values, strict=True)
         ]
         return repr(
             [(name, id(t), interval, sorted(table_arguments.items(), key=str)) for name, t, interval, table_arguments in each]
-        ), repr((sorted(_given(world_type.default_world_args(), self.world).items(), key=str), world_type, *others))
+        ), repr((sorted(_fixed(world_type.default_world_args(), self.world).items(), key=str), world_type, *others))
 
     def _build(
         self,
@@ -184,7 +165,7 @@ class Engine:
         self._builder = FleetBuilder(described, CoreScenario(), NoReward(), options, None, torch.device("cpu"))
         self.fleet = fleet = self._builder.make_fleet(1)
         parts = enumerate(fleet.simulators)
-        fleet.satellites = tuple(Simulated.of(self._builder.satellites[s.columns[0]], fleet, k) for k, s in parts)
+        fleet.satellites = tuple(BoundSatellite.of(self._builder.satellites[s.columns[0]], fleet, k) for k, s in parts)
         for part in fleet.satellites:
             models = (type(part.dynamics), type(part.fsw))
             functions = [
@@ -196,7 +177,7 @@ class Engine:
     def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, object]:
         """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""
         values = self.world if k is None else self._values[k]
-        arguments = _given(table, values)
+        arguments = _fixed(table, values)
         return {name: arguments[name] if name in arguments else self._reader(k, name) for name in table.rows if name in values}
 
     def _reader(self, k: int | None, name: str) -> Callable[[], object]:
@@ -234,12 +215,10 @@ def _own_values(satellite: Satellite) -> dict[str, object]:
     return values
 
 
-def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, object]:
-    return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
-
-
-def _decides(arg: Arg, value: object) -> bool:
-    return value is None or is_fixed(arg) or arg.name in BUILT_FOR
+def _fixed(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, object]:
+    """Return the arguments that decide the structure of a simulation."""
+    rows = ((name, arg) for name, arg in table.rows.items() if name in values)
+    return {name: values[name] for name, arg in rows if values[name] is None or is_fixed(arg) or name in BUILT_FOR}
 
 
 # -- orbits ----------------------------------------------------------------------------------------------------------------------

@@ -26,21 +26,15 @@ class Found(NamedTuple):
 
 
 class Inspection:
-    """Finds the flags of all points in the runs of an episode, by bsk_rl's rules (:mod:`bsk_torch.tasks.inspection.flags`).
+    """Finds the flags of all points of a spacecraft in the runs of one episode, by bsk_rl's rules.
+
+    The rules are those of :mod:`bsk_torch.tasks.inspection.flags`, for :class:`~bsk_torch.bsk_rl.scene.rso_points.RSOPoint`.
 
     In the first two records of an episode the RSO has no attitude yet: they count as inspected, and as lit only where the length
     of the step, rounded, is not that of its records: bsk_rl's test of the beginning of an episode.
     """
 
     def __init__(self, fleet: Fleet, rso: Place, inspectors: Sequence[Place], points: Sequence[object]) -> None:
-        """Begin to observe the runs of ``fleet``, which holds one episode.
-
-        Args:
-            fleet: The satellites.
-            rso: Place of the spacecraft that is inspected.
-            inspectors: Places of those that inspect it.
-            points: Points of its surface (:class:`bsk_torch.bsk_rl.scene.rso_points.RSOPoint`).
-        """
         self.fleet, self.rso, self.inspectors = fleet, rso, list(inspectors)
         vectors = (np.array([getattr(point, name) for point in points], dtype=float) for name in ("r_PB_B", "n_B"))
         limits = (

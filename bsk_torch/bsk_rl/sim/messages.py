@@ -76,7 +76,6 @@ class Message:
     """A message: :meth:`read` returns what it holds now."""
 
     def __init__(self, read: Callable[[], Mapping[str, object]], write: Callable[[Any], None] | None = None) -> None:
-        """Read with a function, and write with another one if the message can be written."""
         self._read, self._write = read, write
 
     def write(self, payload: object, *_: object) -> None:
@@ -98,7 +97,6 @@ class Recorder:
     """Keeps the payloads of a message from when it is added to a task; the fields of the payload are arrays [T, ...]."""
 
     def __init__(self, message: Message, minUpdateTime: int) -> None:
-        """Record a message."""
         self._message, self._every = message, minUpdateTime
         self._times: list[int] = []
         self._payloads: list[Any] = []
@@ -113,9 +111,7 @@ class Recorder:
         """Return the times of the payloads, ns."""
         return np.array(self._times, dtype=np.int64)
 
-    def timesWritten(self) -> np.ndarray:
-        """Return the same times, at which the messages were written, too."""
-        return self.times()
+    timesWritten = times
 
     def clear(self) -> None:
         """Forget what has been recorded."""
@@ -335,10 +331,6 @@ class Software(NamedTuple):
     attributes: Mapping[str, Callable[[View], object]] = {}
     message: Callable[[View], Message] | None = None
     without: type = type(None)
-
-    def exists(self, fsw: View) -> bool:
-        """Return whether a model has it."""
-        return isinstance(fsw, self.model) and not isinstance(fsw, self.without)
 
 
 FSW_MODULES: dict[str, Software] = {

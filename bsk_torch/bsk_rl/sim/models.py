@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, TypeVar
 
@@ -57,7 +58,6 @@ class Task:
     name: ClassVar[str]
 
     def __init__(self, fsw: object, priority: int = 100) -> None:
-        """Store the flight software."""
         self.fsw, self.priority = fsw, priority
 
     def __init_subclass__(cls, **options: object) -> None:
@@ -110,7 +110,8 @@ def counterpart(core: Any) -> Any:
     made = type(core.__name__, (*parents, core), {"__doc__": core.__doc__})
     body: dict[str, object] = {"__module__": f"{__name__.rpartition('.')[0]}.{_kind(core)}"}
     if core in ROOTS:
-        body |= _world_hooks() if core is world.WorldModel else _hooks()
+        body |= {"of_one_episode": True, "__init_subclass__": classmethod(_check), **dict.fromkeys(HOOKS[1:], _nothing)}
+        body |= WORLD_HOOKS if core is world.WorldModel else SATELLITE_HOOKS
     methods = {**_arguments_of(DYN, core), **_arguments_of(FSW, core), **_arguments_of(WORLD, core)}
     methods |= dict.fromkeys(WITHOUT_ARGUMENTS.get(core, "").split(), ())
     body |= {name: _taker(name, args) for name, args in methods.items()}
@@ -134,12 +135,16 @@ def core_world(world_type: Any) -> Any:
     return type(world_type.__name__, (world_type,), {"default_world_args": table, "__module__": __name__})
 
 
-def counterparts(namespace: dict[str, Any], names: Iterable[str]) -> None:
-    """Replace the models of the core in the namespace of a module by those for one episode."""
+def counterparts(title: str, names: Iterable[str], *places: str) -> None:
+    """Replace the models of the core in a module by those for one episode; it is also the modules that bsk_rl has below it."""
+    module = sys.modules[title]
     for name in names:
-        value = namespace[name]
+        value = getattr(module, name)
         if inspect.isclass(value) and issubclass(value, ROOTS):
-            namespace[name] = for_one_episode(value)
+            setattr(module, name, for_one_episode(value))
+    for place in places:
+        sys.modules[f"{title}.{place}"] = module
+        setattr(module, place, module)
 
 
 def _kind(core: type) -> str:
@@ -183,44 +188,37 @@ def _nothing(self: object) -> None:
     """Do nothing; a hook of bsk_rl's models."""
 
 
-def _hooks() -> dict[str, object]:
-    def is_alive(self: Any, log_failure: bool = False) -> bool:
-        return self._checks_hold(log_failure)
-
-    return {
-        "of_one_episode": True,
-        "__init_subclass__": classmethod(_check),
-        "is_alive": is_alive,
-        **dict.fromkeys(HOOKS[1:], _nothing),
-        "_requires_world": classmethod(lambda cls: list(getattr(cls, "all_required_worlds", tuple)())),
-        "_requires_dyn": classmethod(lambda cls: list(getattr(cls, "all_required_dyn", tuple)())),
-        "_setup_dynamics_objects": _set_up_all,
-    }
+def is_alive(self: Any, log_failure: bool = False) -> bool:
+    """Return whether every aliveness check of a model holds."""
+    return self._checks_hold(log_failure)
 
 
-def _world_hooks() -> dict[str, object]:
-    def default_world_args(cls: type, **overrides: object) -> dict[str, object]:
-        """Return all arguments of the world by name: values, and functions that draw them; KeyError for an unknown one."""
-        from bsk_torch.bsk_rl.defaults import world_defaults  # which imports models
+def default_world_args(cls: type, **overrides: object) -> dict[str, object]:
+    """Return all arguments of the world by name: values, and functions that draw them; KeyError for an unknown one."""
+    from bsk_torch.bsk_rl.defaults import world_defaults  # which imports models
 
-        args = world_defaults(cls)
-        for name, value in overrides.items():
-            if name not in args:
-                raise KeyError(f"{name} is not a valid key for world_args; {nearest(name, args)}")
-            args[name] = value
-        return args
-
-    return {
-        "of_one_episode": True,
-        "__init_subclass__": classmethod(_check),
-        "default_world_args": classmethod(default_world_args),
-        **dict.fromkeys(HOOKS[1:], _nothing),
-        "_setup_world_objects": _set_up_all,
-    }
+    args = world_defaults(cls)
+    for name, value in overrides.items():
+        if name not in args:
+            raise KeyError(f"{name} is not a valid key for world_args; {nearest(name, args)}")
+        args[name] = value
+    return args
 
 
 def _set_up_all(self: Any, **kwargs: object) -> None:
     self._set_up_all(kwargs)
+
+
+SATELLITE_HOOKS = {
+    "is_alive": is_alive,
+    "_requires_world": classmethod(lambda cls: list(getattr(cls, "all_required_worlds", tuple)())),
+    "_requires_dyn": classmethod(lambda cls: list(getattr(cls, "all_required_dyn", tuple)())),
+    "_setup_dynamics_objects": _set_up_all,
+}
+"""Hooks of dynamics and flight software, in addition to :data:`HOOKS`."""
+
+WORLD_HOOKS = {"default_world_args": classmethod(default_world_args), "_setup_world_objects": _set_up_all}
+"""Hooks of world models, likewise."""
 
 
 def _check(cls: type, **options: object) -> None:

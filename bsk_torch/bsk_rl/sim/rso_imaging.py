@@ -32,7 +32,6 @@ class Aims:
     """
 
     def __init__(self, fleet: SatelliteFleet) -> None:
-        """Begin without targets in the episode of ``fleet``."""
         self.fleet = fleet
         self._targets: list[Satellite] = []
         self._orbits: CatalogOrbits | None = None
@@ -77,7 +76,6 @@ class Capture:
     """
 
     def __init__(self, satellite: Satellite) -> None:
-        """Begin the episode of an imager."""
         self.satellite = satellite
         self.records: list[RSOImageRecord] = []
         self.completed = False
@@ -94,26 +92,11 @@ class Capture:
         late = self.satellite.simulator.sim_time_ns >= self._deadline and not self.check_capture()
         return None if late else self._target
 
-    @property
-    def held_s(self) -> float:
-        """Time for which the conditions of the image have held, s."""
-        return self._read("rso_held")
+    held_s = property(lambda gate: gate._read("rso_held"), doc="Time for which the conditions of the image have held, s.")
+    previous_valid = property(lambda gate: gate._read("rso_valid") > 0.0, doc="Whether they held in the last tick.")
 
-    @property
-    def previous_valid(self) -> bool:
-        """Whether they held in the last tick."""
-        return self._read("rso_valid") > 0.0
-
-    def start(
-        self,
-        target: EpisodeTarget,
-        duration: float,
-        hold_s: float,
-        hold_mode: str,
-        require_illumination: bool,
-        illumination_threshold: float,
-    ) -> None:
-        """Begin a task, whose command has been given; see :class:`bsk_torch.bsk_rl.act.ImageRSO`."""
+    def start(self, target: EpisodeTarget, duration: float, **task: float) -> None:
+        """Begin a task, whose command has been given, with conditions in the fields of the state ``task``."""
         satellite, simulator = self.satellite, self.satellite.simulator
         self._target = target
         simulator.aims.point(satellite, target.target_spacecraft)
@@ -121,13 +104,7 @@ class Capture:
         if len(names) > 1:
             satellite.fsw._write("data_partition", float(names.index(satellite.dynamics.rso_partition_names[target.id])))
         self._deadline = simulator.sim_time_ns + whole_nanoseconds(min(duration, LONGEST))
-        task = {
-            "rso_deadline": float(-(-self._deadline // simulator.tick_ns)),
-            "rso_hold": float(hold_s),
-            "rso_continuous": float(hold_mode == "continuous"),
-            "rso_least_light": float(illumination_threshold) if require_illumination else -1.0,
-            "rso_ends": 0.0,
-        }
+        task |= {"rso_deadline": float(-(-self._deadline // simulator.tick_ns)), "rso_ends": 0.0}
         for name, value in task.items():
             satellite.fsw._write(name, value)
 

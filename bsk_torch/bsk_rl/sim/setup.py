@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +74,6 @@ class Part:
     """A module of the package while a model is set up: its settings are arguments."""
 
     def __init__(self, name: str, args: dict[str, object]) -> None:
-        """Let the settings of the module ``name`` change ``args``."""
         self.__dict__.update(_name=name, _args=args)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -100,7 +99,6 @@ class Spacecraft(Part):
     """The spacecraft while a model is set up; effectors of the package's kinds are read by :class:`Setup`."""
 
     def __init__(self, args: dict[str, object]) -> None:
-        """Let the settings of the hub change ``args``."""
         super().__init__("scObject", args)
         self.__dict__["hub"] = Part("hub", args)
         self.__dict__["scStateOutMsg"] = _message("SCStatesMsg")
@@ -166,36 +164,14 @@ IGNORED = ("ReactionWheelStateEffector",)
 """Modules whose numbers are those of another one of the table."""
 
 
-class Simulation:
-    """The simulator while a model is set up: keeps the modules that are added to tasks."""
-
-    def __init__(self, satellites: Sequence[object]) -> None:
-        """Begin without modules."""
-        self.satellites, self.added = satellites, list[object]()
-
-    def AddModelToTask(self, task: str, module: object, ModelPriority: int = -1) -> None:
-        """Keep a module."""
-        self.added.append(module)
-
-
 class Setup:
     """Stands for a model of an episode while its ``setup_...`` methods run."""
 
-    def __init__(
-        self, model: type, args: Mapping[str, object], satellite: object = None, world: object = None, fsw: object = None
-    ) -> None:
-        """Begin with the drawn arguments of a satellite or world."""
-        self.__dict__.update(
-            _model=model,
-            _args=dict(args),
-            _parts={},
-            _done=set(),
-            _complete=False,
-            satellite=satellite,
-            world=world,
-            fsw=fsw,
-            simulator=Simulation([]),
-        )
+    def __init__(self, model: type, args: Mapping[str, object], satellite: object = None, fsw: object = None) -> None:
+        added = list[object]()
+        simulator = SimpleNamespace(satellites=[], AddModelToTask=lambda task, module, ModelPriority=-1: added.append(module))
+        self.__dict__.update(_model=model, _args=dict(args), _parts={}, _done=set(), _complete=False, _added=added)
+        self.__dict__.update(satellite=satellite, world=None, fsw=fsw, simulator=simulator)
         self.__dict__.update(task_name="DynamicsTask", world_task_name="WorldTask", sun_index=0, body_index=1)
 
     @property  # type: ignore[misc]
@@ -210,7 +186,8 @@ class Setup:
         if name == "scObject":
             return parts.setdefault(name, Spacecraft(args))
         if name == "gravFactory":
-            return parts.setdefault(name, _gravity())
+            messages = [_message("SpicePlanetStateMsg") for _ in range(2)]
+            return parts.setdefault(name, SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=messages)))
         if name in RENAMED:
             return parts.setdefault(name, Part(name, args))
         member = inspect.getattr_static(self.__dict__["_model"], name, None)
@@ -263,7 +240,7 @@ class Setup:
         made = self._read()
         for module in made:
             self._args.update(READ[type(module).__name__](module, self._args))
-        for module in self.simulator.added:
+        for module in self._added:
             if (kind := type(module).__name__) not in (*READ, *IGNORED):
                 raise NotSimulatedError(
                     f"{self._model.__name__} adds {kind}, which is not simulated here; of Basilisk's modules, {sorted(READ)} are "
@@ -272,33 +249,16 @@ class Setup:
         return {name: value for name, value in self._args.items() if name not in before or value is not before[name]}
 
 
-def _gravity() -> Any:
-    planets = [_message("SpicePlanetStateMsg") for _ in range(2)]
-    return SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=planets))
-
-
-def is_set_up_by_user(model: type) -> bool:
-    """Return whether a class of users defines a method that sets up a model, or one of its tasks."""
-    names = ("setup_", "_setup_")
-    return any(
-        name.startswith(names) or (inspect.isclass(value) and issubclass(value, Task))
-        for owner in classes_of_users(model)
-        for name, value in vars(owner).items()
-    )
-
-
 def changed_arguments(model: type, args: Mapping[str, object], satellite: Satellite | None = None) -> dict[str, object]:
-    """Run the ``setup_...`` methods of a user's model; return the arguments that they change.
+    """Run the ``setup_...`` methods of a user's model of a satellite, or of the world; return the arguments that they change.
 
-    Args:
-        model: Model of a satellite, or of the world.
-        args: Arguments of the episode.
-        satellite: The satellite.
-
-    Raises:
-        NotSimulatedError: For a method that adds a part that is not simulated.
+    NotSimulatedError for a method that adds a part that is not simulated.
     """
-    if not is_set_up_by_user(model):
+    definitions = (item for owner in classes_of_users(model) for item in vars(owner).items())
+    if not any(
+        name.startswith(("setup_", "_setup_")) or (inspect.isclass(value) and issubclass(value, Task))
+        for name, value in definitions
+    ):
         return {}
     whole = Setup(model, args, satellite)
     run = next((name for name in SETUP if hasattr(model, name)), "_set_up_all")

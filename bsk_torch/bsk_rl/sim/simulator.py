@@ -28,6 +28,7 @@ from bsk_torch.sim.run.encounters import LEFT, MET
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sats.satellite import Satellite
+    from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
 
@@ -43,31 +44,21 @@ LONGEST_SEARCH = 4096
 
 @dataclass
 class Event:
-    """Something that happens at a time, when an image has been taken, or when a condition holds.
+    """Something that happens at a time, when an image has been taken, or when a condition holds."""
 
-    Attributes:
-        tick: First tick at which it happens; None for an image or a condition.
-        effect: Called with the simulator when it happens.
-        terminal: Whether it ends the step.
-        eventActive: Whether it is waiting.
-        image_of: Satellite whose image it waits for.
-        condition: Function of the simulator that is evaluated every ``every`` ticks.
-    """
-
-    tick: int | None
+    tick: int | None  # the first at which it happens; None for an image or a condition
     effect: Callable[[Simulator], object] | None
-    terminal: bool
+    terminal: bool  # whether it ends the step
     eventActive: bool = True
-    image_of: Any = None
+    image_of: Satellite | None = None
     condition: Callable[[Any], object] | None = None
-    every: int = 1
+    every: int = 1  # ticks between evaluations of the condition
 
 
 class Clock:
     """Stands for a simulator that a condition reads only the time of."""
 
     def __init__(self, nanoseconds: int) -> None:
-        """Set the time, ns."""
         self.sim_time_ns, self.sim_time = nanoseconds, nanoseconds * NANO
         self.TotalSim = SimpleNamespace(CurrentNanos=nanoseconds)
 
@@ -95,7 +86,7 @@ class Simulator:
 
     Attributes:
         satellites: The satellites, in their order.
-        sim_rate: Length of a tick, s.
+        sim_rate, tick_ns: Length of a tick, s and ns.
         max_step_duration: Longest run, s; a change counts from the next run on.
         time_limit: End of the episode, s, likewise.
         world: Sun, Earth and ground stations.
@@ -109,7 +100,7 @@ class Simulator:
     def __init__(
         self,
         satellites: Sequence[Satellite],
-        world_type: Any,
+        world_type: type[WorldModel],
         world_args: Mapping[str, object],
         sim_rate: float = 1.0,
         max_step_duration: float = 600.0,
@@ -126,7 +117,7 @@ class Simulator:
         self.world_args: dict[str, Any] = self.engine.world
         self.aims = Aims(self.fleet)
         self._every = torch.ones(1, dtype=torch.bool)
-        self._h_ns = self.fleet.simulators[0].h_ns
+        self.tick_ns = self.fleet.simulators[0].h_ns
         self._et = self.fleet.simulators[0].lookahead.flight.et[:1].clone()
         self._now = 0
         self._limited: tuple[float, torch.Tensor, int] = (math.nan, torch.zeros(1, dtype=torch.float64), 0)
@@ -150,20 +141,12 @@ class Simulator:
             "reset. Episodes of bsk_torch.SatelliteTasking can be copied with env.restore: docs/how_to/record.md"
         )
 
-    def finish_init(self) -> None:
-        """Finish a reset; nothing is left to do."""
-
     # -- reading ------------------------------------------------------------------------------------------------------
-
-    @property
-    def tick_ns(self) -> int:
-        """Length of a tick, ns."""
-        return self._h_ns
 
     @property
     def sim_time_ns(self) -> int:
         """Time since reset, ns."""
-        return self._now * self._h_ns
+        return self._now * self.tick_ns
 
     @property
     def sim_time(self) -> float:
@@ -175,7 +158,7 @@ class Simulator:
         """Basilisk's clock: ``CurrentNanos``, time since reset, ns."""
         return SimpleNamespace(CurrentNanos=self.sim_time_ns)
 
-    def get_satellite(self, name: str) -> Any:
+    def get_satellite(self, name: str) -> Satellite:
         """Return the satellite of a name; ValueError if there is none."""
         for satellite in self.satellites:
             if satellite.name == name:
@@ -203,9 +186,9 @@ class Simulator:
         """Return the first tick at or after a time, s; ValueError for NaN."""
         if math.isnan(seconds):
             raise ValueError("a task or a step ends at nan s; check the durations of actions and max_step_duration")
-        if not seconds < LONGEST_RUN * NANO * self._h_ns:
+        if not seconds < LONGEST_RUN * NANO * self.tick_ns:
             return LONGEST_RUN
-        return math.ceil(whole_nanoseconds(seconds) / self._h_ns)
+        return math.ceil(whole_nanoseconds(seconds) / self.tick_ns)
 
     def add_timed_event(self, name: str, seconds: float, effect: Callable[[Simulator], object] | None, terminal: bool) -> None:
         """Let something happen at the first tick at or after ``seconds``; an event of the same name is replaced."""
@@ -238,7 +221,7 @@ class Simulator:
         actionList: Sequence[str] | None = None,
         conditionTime: int | None = None,
         conditionFunction: Callable[[Any], object] | None = None,
-        actionFunction: Callable[[Any], object] | None = None,
+        actionFunction: Callable[[Simulator], object] | None = None,
         terminal: bool = False,
         exactRateMatch: bool = True,
     ) -> None:
@@ -258,9 +241,9 @@ class Simulator:
         if eventName in self.eventMap:
             return
         if conditionTime is not None:
-            self.eventMap[eventName] = Event(math.ceil(conditionTime / self._h_ns), actionFunction, terminal, eventActive)
+            self.eventMap[eventName] = Event(math.ceil(conditionTime / self.tick_ns), actionFunction, terminal, eventActive)
         elif conditionFunction is not None:
-            every = max(1, math.ceil(eventRate / self._h_ns))
+            every = max(1, math.ceil(eventRate / self.tick_ns))
             event = Event(None, actionFunction, terminal, eventActive, condition=conditionFunction, every=every)
             self.eventMap[eventName] = event
 
@@ -270,7 +253,7 @@ class Simulator:
         if condition is None or not reads_only_clock(condition):
             return first
         last = min(last, self._now + LONGEST_SEARCH)
-        return next((tick for tick in range(first, last + 1, event.every) if condition(Clock(tick * self._h_ns))), last)
+        return next((tick for tick in range(first, last + 1, event.every) if condition(Clock(tick * self.tick_ns))), last)
 
     # -- tasks --------------------------------------------------------------------------------------------------------
 
@@ -349,7 +332,7 @@ class Simulator:
 
     def _limit(self) -> tuple[torch.Tensor, int]:
         if self._limited[0] != self.time_limit:
-            ticks = whole_limit(torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64), self._et, self._h_ns)[0]
+            ticks = whole_limit(torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64), self._et, self.tick_ns)[0]
             self._limited = self.time_limit, ticks, int(ticks)
         return self._limited[1:]
 
@@ -406,9 +389,11 @@ class Simulator:
         return ends
 
     def _is_due(self, event: Event, images: Sequence[torch.Tensor | None]) -> bool:
-        if event.tick is not None:
-            return event.eventActive and event.tick <= self._now
+        if not event.eventActive:
+            return False
+        if event.image_of is not None:
+            part, row = event.image_of.core_row
+            return (taken := images[part]) is not None and bool(taken[row])
         if event.condition is not None:
-            return event.eventActive and self._now % event.every == 0 and bool(event.condition(self))
-        part, row = event.image_of.core_row
-        return event.eventActive and images[part] is not None and bool(images[part][row])
+            return self._now % event.every == 0 and bool(event.condition(self))
+        return event.tick is not None and event.tick <= self._now

@@ -8,24 +8,23 @@ another one raises AttributeError with advice.
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import cache, cached_property, partial
+from operator import attrgetter
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
-from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command
+from bsk_torch.bsk_rl.sim.commands import OWN, Command, Commanded, is_command, module_of
 from bsk_torch.bsk_rl.sim.engine import SKY, row_mask
 from bsk_torch.bsk_rl.sim.models import classes_of_users
-from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
+from bsk_torch.bsk_rl.sim.rso_imaging import Capture
 from bsk_torch.bsk_rl.sim.setup import NotSimulatedError
-from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
 
     from bsk_torch.bsk_rl.sats.satellite import Satellite
     from bsk_torch.bsk_rl.scene.rso_targets import EpisodeTarget
+    from bsk_torch.bsk_rl.sim.simulator import Simulator
     from bsk_torch.sim.readout.observables import Now
     from bsk_torch.sim.simulator import Simulator as CoreSimulator
 
@@ -56,21 +56,6 @@ ELEMENTS = {
 
 PACKAGE = "bsk_torch."
 """Beginning of the names of the package's modules."""
-
-
-class Episode(Protocol):
-    """What views read of :class:`bsk_torch.bsk_rl.sim.simulator.Simulator`, the simulation of an episode."""
-
-    satellites: list[Satellite]
-    sim_rate: float
-    world: WorldView
-    world_args: dict[str, Any]
-    fleet: SatelliteFleet
-    aims: Aims
-    collisions: list[tuple[object, object]]
-
-    def sights_now(self) -> np.ndarray:
-        """Return whether one satellite sees another one now, [S, S] booleans."""
 
 
 class _Overridden:
@@ -124,7 +109,6 @@ class ModelView:
         return object.__new__(_overriding(cls, type(whole)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
 
     def __init__(self, whole: object, row: int) -> None:
-        """View row number ``row`` of a model of the core."""
         self.__dict__.update(_whole=whole, _row=row, _memo=(-1, {}))
 
     @property  # type: ignore[misc]
@@ -232,32 +216,13 @@ class ModelView:
 
     # -- what every model has -----------------------------------------------------------------------------------------
 
-    @property
-    def simulator(self) -> Episode:
-        """The simulation of the episode."""
-        return self.satellite.simulator
-
-    @property
-    def world(self) -> WorldView:
-        """Sun, Earth and ground stations."""
-        return self.simulator.world
-
-    @property
-    def dynamics(self) -> Any:
-        """The dynamics model of the satellite."""
-        return self.satellite.dynamics
-
-    @property
-    def fsw(self) -> object:
-        """The flight-software model of the satellite."""
-        return self.satellite.fsw
+    simulator = property(attrgetter("satellite.simulator"), doc="The simulation of the episode.")
+    world = property(attrgetter("simulator.world"), doc="Sun, Earth and ground stations.")
+    dynamics = property(attrgetter("satellite.dynamics"), doc="The dynamics model of the satellite.")
+    fsw = property(attrgetter("satellite.fsw"), doc="The flight-software model of the satellite.")
 
     def is_alive(self, log_failure: bool = False) -> bool:
-        """Return whether every aliveness check holds; as in bsk_rl, those after the first failure are not called.
-
-        Args:
-            log_failure: Whether the logger of the satellite gets a warning of the first failure.
-        """
+        """Return whether every aliveness check holds; those after the first failure, which may be logged, are not called."""
         return self._checks_hold(log_failure)
 
     def _checks_hold(self, log_failure: bool) -> bool:
@@ -277,44 +242,29 @@ class SatelliteModelView(ModelView):
     """A model of one satellite; arguments that bsk_rl's model keeps are attributes."""
 
     def __init__(self, whole: object, row: int, satellite: Satellite) -> None:
-        """View the model of a satellite."""
         super().__init__(whole, row)
         self.__dict__["satellite"] = satellite
 
     satellite: Any
 
     def __getattr__(self, name: str) -> Any:
-        if name in messages.KEPT and name in self._arguments():
-            return self.satellite.model_args[name]
+        if name in messages.KEPT:
+            args = (arg for component in type(self._whole).all_components() for arg in component.args)
+            if any(arg.name == name for arg in args):
+                return self.satellite.model_args[name]
         return super().__getattr__(name)
 
-    def _arguments(self) -> set[str]:
-        return {arg.name for component in type(self._whole).all_components() for arg in component.args}
-
-    @property
-    def logger(self) -> logging.Logger:
-        """Logger of the satellite."""
-        return self.satellite.logger
+    logger = property(attrgetter("satellite.logger"), doc="Logger of the satellite.")
 
 
 class DynamicsView(SatelliteModelView):
     """The dynamics model of a satellite; Basilisk's usual modules are attributes."""
 
     def __getattr__(self, name: str) -> Any:
-        module = messages.MODULES.get(name)
-        if module is not None and hasattr(type(self._whole), module.needs):
-            return Commanded(name, lambda: self.satellite.fsw._commanding, partial(messages.read_of, self, module.attributes))
-        return super().__getattr__(name)
+        return module_of(self, name, lambda: self.satellite.fsw._commanding) or super().__getattr__(name)
 
-    @property
-    def dyn_rate(self) -> float:
-        """Length of a tick, s."""
-        return self.simulator.sim_rate
-
-    @property
-    def task_name(self) -> str:
-        """Name of the task of the satellite's dynamics, to which recorders are added."""
-        return f"DynamicsTask{self.satellite.name}"
+    dyn_rate = property(attrgetter("simulator.sim_rate"), doc="Length of a tick, s.")
+    task_name = property(lambda view: f"DynamicsTask{view.satellite.name}", doc="Name of the task to which recorders are added.")
 
     @property
     def I_mat(self) -> list[float]:
@@ -362,17 +312,16 @@ class DynamicsView(SatelliteModelView):
         if not hasattr(type(self._whole), name):
             raise AttributeError(self._advice(name))
 
-    def _elements_at_start(self) -> dict[str, float]:
-        """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
-        if "_oe" not in self.__dict__:
-            elements = self._whole.elements
-            self.__dict__["_oe"] = {name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()}
-        return self.__dict__["_oe"]
+    @cached_property
+    def _oe(self) -> dict[str, float]:
+        """Orbital elements as they were when they were first read in the episode, as in bsk_rl."""
+        elements = self._whole.elements
+        return {name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()}
 
     def observed(self, function: Callable[[Now], object]) -> Any:
         """See :meth:`ModelView.observed`; orbital elements are those of the first moment at which one was read."""
         name = function.__name__
-        return self._elements_at_start()[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
+        return self._oe[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
 
     @property
     def _bound_targets(self) -> dict[str, Satellite]:
@@ -419,20 +368,10 @@ class DynamicsView(SatelliteModelView):
         return near
 
 
-def _element(name: str) -> property:
-    """Return a property that is the orbital element of the first moment at which one was read."""
-    return property(lambda view: view._elements_at_start()[ELEMENTS[name]])
-
-
-for _name in ELEMENTS:
-    setattr(DynamicsView, _name, _element(_name))
-
-
 class FlightSoftwareView(SatelliteModelView):
     """The flight-software model of a satellite; its commands are methods ``action_...``."""
 
     def __init__(self, whole: object, row: int, satellite: Satellite) -> None:
-        """View the flight software of a satellite."""
         super().__init__(whole, row, satellite)
         self.__dict__["_commanding"] = None
 
@@ -491,10 +430,7 @@ class FlightSoftwareView(SatelliteModelView):
             raise AttributeError(f"{self.satellite.name} has no {name}; another model of its flight software has it")
         return np.atleast_1d(self._core.read(name)[self._row].numpy(force=True))
 
-    @property
-    def fsw_rate(self) -> float:
-        """Length of a tick, s."""
-        return self.simulator.sim_rate
+    fsw_rate = property(attrgetter("simulator.sim_rate"), doc="Length of a tick, s.")
 
     @property
     def _core(self) -> CoreSimulator:
@@ -533,7 +469,7 @@ class FlightSoftwareView(SatelliteModelView):
     def _module(self, name: str) -> object:
         """Return a module of Basilisk's flight software, if the model has it."""
         module = messages.FSW_MODULES[name]
-        if not module.exists(self):
+        if not isinstance(self, module.model) or isinstance(self, module.without):
             raise AttributeError(self._advice(name))
         if module.message is not None:
             return module.message(self)
@@ -558,7 +494,13 @@ class FlightSoftwareView(SatelliteModelView):
         if target.id not in self.dynamics.rso_partition_names:
             raise ValueError(f"{self.satellite.name} does not know the target {target.id!r}; dynamics.bind_rso_target adds it")
         self._enter("image_rso")
-        capture.start(target, duration, hold_s, hold_mode, require_illumination, illumination_threshold)
+        capture.start(
+            target,
+            duration,
+            rso_hold=float(hold_s),
+            rso_continuous=float(hold_mode == "continuous"),
+            rso_least_light=float(illumination_threshold) if require_illumination else -1.0,
+        )
 
     def action_image(self, r_LP_P: object, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
@@ -593,8 +535,7 @@ class Station:
         maximumRange: Longest range, m; no limit if negative.
     """
 
-    def __init__(self, simulator: Episode, name: str, r_LP_P: ArrayLike, sine: float, reach: float) -> None:
-        """Keep the numbers of a station."""
+    def __init__(self, simulator: Simulator, name: str, r_LP_P: ArrayLike, sine: float, reach: float) -> None:
         self._place = np.asarray(r_LP_P, dtype=float)
         self.ModelTag, self.r_LP_P_Init = name, self._place.reshape(3, 1).tolist()
         self.minimumElevation, self.maximumRange = float(np.arcsin(sine)), reach
@@ -619,15 +560,11 @@ class WorldView(ModelView):
 
     sun_index, body_index = 0, 1
 
-    def __init__(self, whole: object, simulator: Episode) -> None:
-        """View the world of a simulation."""
+    def __init__(self, whole: object, simulator: Simulator) -> None:
         super().__init__(whole, 0)
         self.__dict__["_simulator"] = simulator
 
-    @property
-    def simulator(self) -> Episode:
-        """The simulation of the episode."""
-        return self.__dict__["_simulator"]
+    simulator = property(attrgetter("_simulator"), doc="The simulation of the episode.")
 
     def __getattr__(self, name: str) -> Any:
         args = self.simulator.world_args
@@ -647,21 +584,19 @@ class WorldView(ModelView):
         return self.simulator.fleet.simulators[0].observer
 
     @property
-    def planet(self) -> object:
-        """Basilisk's Earth: ``mu``, m^3/s^2, and ``radEquator``, m."""
-        return self.gravFactory.gravBodies["earth"]
-
-    @property
     def eclipseObject(self) -> object:
         """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
         if all(component.slot != "eclipse" for component in type(self._whole).all_components()):
             raise AttributeError(self._advice("eclipseObject"))
         return messages.eclipses(self)
 
-    @property
-    def gravFactory(self) -> SimpleNamespace:
-        """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
-        return messages.gravity_factory(self)
+    planet = property(
+        lambda view: view.gravFactory.gravBodies["earth"], doc="Basilisk's Earth: ``mu``, m^3/s^2, ``radEquator``, m."
+    )
+    gravFactory = property(
+        messages.gravity_factory, doc="Basilisk's factory of gravity bodies, with the messages of Sun and Earth."
+    )
+    ephemConverter = property(messages.ephemerides, doc="Basilisk's converter of ephemerides, with the same messages.")
 
     @property
     def densityModel(self) -> object:
@@ -670,11 +605,6 @@ class WorldView(ModelView):
         if "baseDensity" not in args:
             raise AttributeError(self._advice("densityModel"))
         return Commanded("densityModel", lambda: None, args.__getitem__)
-
-    @property
-    def ephemConverter(self) -> object:
-        """Basilisk's converter of ephemerides, with the same messages."""
-        return messages.ephemerides(self)
 
     @cached_property
     def groundStations(self) -> list[Station]:

@@ -8,6 +8,6 @@ WorldModelABC = WorldModel
 
 __all__ = ["AtmosphereWorldModel", "EclipseWorldModel", "GroundStationWorldModel", "WorldModel", "WorldModelABC"]
 
-counterparts(globals(), __all__)
+counterparts(__name__, __all__)
 
 __getattr__ = renamed_in(__name__)

@@ -12,7 +12,6 @@ class WheelTriad(Sequence[object]):
     """Three entries, of which the last are wheel speeds, rpm; reading the others, Basilisk's objects, raises TypeError."""
 
     def __init__(self, speeds: object) -> None:
-        """Keep the speeds [3]."""
         self.speeds = speeds
 
     def __len__(self) -> int:

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 from unittest.mock import MagicMock
 
 import numpy as np
-from typing_extensions import override
 
 from bsk_torch.bsk_rl.defaults import model_defaults, safe_dict_merge
 from bsk_torch.bsk_rl.older import check_arguments
@@ -73,35 +72,25 @@ class Part(Resetable):
         self.simulator = simulator
 
 
+def _passing(hook: str) -> Callable[[ResetableGroup], None]:
+    def passed(self: ResetableGroup) -> None:
+        getattr(super(ResetableGroup, self), hook)()
+        for part in self._parts():
+            getattr(part, hook)()
+
+    return passed
+
+
 class ResetableGroup(Resetable):
     """Passes the hooks on to its parts, after those of the class itself."""
 
     def _parts(self) -> Iterable[Resetable]:
         raise NotImplementedError(f"{type(self).__name__} must implement _parts()")
 
-    @override
-    def reset_overwrite_previous(self) -> None:
-        super().reset_overwrite_previous()
-        for part in self._parts():
-            part.reset_overwrite_previous()
-
-    @override
-    def reset_pre_sim_init(self) -> None:
-        super().reset_pre_sim_init()
-        for part in self._parts():
-            part.reset_pre_sim_init()
-
-    @override
-    def reset_during_sim_init(self) -> None:
-        super().reset_during_sim_init()
-        for part in self._parts():
-            part.reset_during_sim_init()
-
-    @override
-    def reset_post_sim_init(self) -> None:
-        super().reset_post_sim_init()
-        for part in self._parts():
-            part.reset_post_sim_init()
+    reset_overwrite_previous = _passing("reset_overwrite_previous")
+    reset_pre_sim_init = _passing("reset_pre_sim_init")
+    reset_during_sim_init = _passing("reset_during_sim_init")
+    reset_post_sim_init = _passing("reset_post_sim_init")
 
 
 # -- default arguments -----------------------------------------------------------------------------------------------------------

@@ -41,16 +41,10 @@ class RSOImageRecord:
 
 @dataclass(frozen=True)
 class CandidateSnapshot:
-    """Targets among which an imager chooses, in their order.
-
-    Attributes:
-        time: Time at which they were ordered, s.
-        revision: Revision of the scenario at that time.
-        targets: The targets; None where there are no more.
-    """
+    """Targets among which an imager chooses, None where there are no more, in their order at a time, s."""
 
     time: float
-    revision: int
+    revision: int  # of the scenario
     targets: tuple[EpisodeTarget | None, ...]
 
 

@@ -7,30 +7,13 @@ Where RLlib is installed, importing this module registers ``"SatelliteTasking-RL
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.util import find_spec
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from bsk_torch.bsk_rl.gym import ConstellationTasking, SatelliteTasking
 from bsk_torch.bsk_rl.utils.rllib.callbacks import EpisodeDataParallelWrapper, EpisodeDataWrapper
+from bsk_torch.wrappers.rllib import HAS_RLLIB, split, unpack_config
 
 __all__ = ["load_torch_mlp_policy", "unpack_config"]
-
-CALLBACKS = ("episode_data_callback", "satellite_data_callback")
-
-HAS_RLLIB = all(map(find_spec, ("ray", "tree")))
-"""Whether RLlib is installed; Ray without it lacks the second package."""
-
-
-def unpack_config(env: type) -> type:
-    """Return a class derived from ``env`` that takes its arguments as one dictionary, as RLlib gives them."""
-
-    class Unpacked(env):
-        def __init__(self, env_config: Mapping[str, object]) -> None:
-            super().__init__(**env_config)
-
-    Unpacked.__name__ = Unpacked.__qualname__ = f"{env.__name__}_Unpacked"
-    Unpacked.__doc__ = f"{env.__name__} made with a dictionary of its arguments."
-    return Unpacked
 
 
 def load_torch_mlp_policy(policy_path: object, policy_name: str = "default_agent") -> NoReturn:
@@ -40,14 +23,9 @@ def load_torch_mlp_policy(policy_path: object, policy_name: str = "default_agent
     )
 
 
-def _split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
-    arguments = dict(env_config)
-    return arguments, {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
-
-
 def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
     """Return a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``."""
-    arguments, callbacks = _split(env_config)
+    arguments, callbacks = split(env_config)
     return EpisodeDataWrapper(SatelliteTasking(**arguments), **callbacks)
 
 
@@ -55,7 +33,7 @@ def constellation_tasking(env_config: Mapping[str, object]) -> object:
     """Return a ``ConstellationTasking`` with metrics, as RLlib wants it, from its ``env_config``."""
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
-    arguments, callbacks = _split(env_config)
+    arguments, callbacks = split(env_config)
     return ParallelPettingZooEnv(EpisodeDataParallelWrapper(ConstellationTasking(**arguments), **callbacks))
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-from typing import Any, NoReturn
+from typing import Any
 
 import gymnasium
 from pettingzoo.utils import BaseParallelWrapper
 
+from bsk_torch.bsk_rl.older import advising
 from bsk_torch.wrappers import metrics
+from bsk_torch.wrappers.rllib import HAS_RLLIB
 
 __all__ = ["EpisodeDataLogger", "EpisodeDataParallelWrapper", "EpisodeDataWrapper", "WrappedEpisodeDataCallbacks"]
 
@@ -56,11 +57,7 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
     """Metrics of a PettingZoo environment; see :class:`EpisodeDataLogger`."""
 
 
-if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
+if HAS_RLLIB:
     from bsk_torch.wrappers.rllib import WrappedEpisodeDataCallbacks
 
-
-def __getattr__(name: str) -> NoReturn:
-    if name in WITHOUT:
-        raise ImportError(f"bsk_rl's {name} {WITHOUT[name]}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = advising(__name__, WITHOUT)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal, NoReturn
+from typing import Literal
 
 import numpy as np
+
+from bsk_torch.bsk_rl.older import advising
 
 ADVICE = (
     "is a part of RLlib's learner, which bsk_torch does not have. Its own PPO and MAPPO discount by seconds ('bsk-torch train'), "
@@ -67,7 +69,4 @@ def compute_value_targets_time_discounted(
     return targets.astype(np.float32)
 
 
-def __getattr__(name: str) -> NoReturn:
-    if name in LEARNERS:
-        raise ImportError(f"bsk_rl's {name} {ADVICE}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = advising(__name__, dict.fromkeys(LEARNERS, ADVICE))

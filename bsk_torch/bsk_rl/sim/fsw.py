@@ -30,4 +30,4 @@ __all__ = [
     "action",
 ]
 
-counterparts(globals(), __all__)
+counterparts(__name__, __all__, "base", "ground_imaging", "orbital", "rso_imaging", "rso_inspection")

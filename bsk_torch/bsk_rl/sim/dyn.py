@@ -45,4 +45,4 @@ __all__ = [
     "SpaceToSpaceImagingDynModel",
 ]
 
-counterparts(globals(), __all__)
+counterparts(__name__, __all__, "base", "ground_imaging", "relative_motion", "rso_imaging", "rso_inspection")
