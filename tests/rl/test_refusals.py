@@ -166,7 +166,7 @@ def test_rejects_networks_and_policies_that_do_not_fit(scanning, imaging):
         refusal(lambda: member_view(vectors), ValueError, "alike", imaging_and_relay),
         refusal(lambda: shared(always(0), vectors), ValueError, "alike", imaging_and_relay),
         refusal(lambda: shared(groups, sets), ValueError, "a, b", "broadcasting_set_imager, relay"),
-        refusal(lambda: bsk_torch.rule("rule", sets), KeyError, "'storage_level_fraction'"),
+        refusal(lambda: bsk_torch.rule("rule", sets), ValueError, "'storage_level_fraction'", "fit: random, greedy"),
         refusal(lambda: member_views(crew(joint=True)), ValueError, "separate agent", "agents"),
         refusal(lambda: member_views(crew(meta_agent_groupings=pair)), ValueError, "separate agent", "pair"),
         refusal(lambda: find_teacher("survey", inspector), ValueError, "imitate='survey'", "real numbers"),
