@@ -80,7 +80,7 @@ def train(
 ) -> None:
     """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.
 
-    The last line tells whether the policy is better than the best rule, and if not, which training is known to be better.
+    The last line compares the policy with the best rule, and if it is not better, names a training that is known to be better.
 
     Examples:
         bsk-torch train NadirScan-v1 --minutes 3
