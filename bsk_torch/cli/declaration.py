@@ -34,18 +34,21 @@ Preset = Annotated[
         help="Environment; 'bsk-torch list' names them; or your own (module:name or file.py:name).", show_default=False
     ),
 ]
-BASELINES = ", ".join(RULES)
 ANY = (
     "Run folder, 'pretrained', policy file of any library (Stable-Baselines3, ONNX, torch.export, RLlib, BenchMARL, torch), your "
     "own function (package.module:function),"
 )
-PLANNED = f"{ANY} a baseline ({BASELINES}), or a planner ({', '.join(f'plan:{name}' for name in PLANNERS)})."
-Policy = Annotated[str, typer.Argument(help=f"{ANY} or a baseline: {BASELINES}.", show_default=False)]
+FEW = "a baseline, such as random, rule or hasty ('bsk-torch eval --help' names all)"
+Policy = Annotated[str, typer.Argument(help=f"{ANY} or {FEW}.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Also read policy files that execute code, such as pickles.")]
-PolicyOrPlanner = Annotated[str, typer.Argument(help=PLANNED, show_default=False)]
-PoliciesOrPlanners = Annotated[list[str], typer.Argument(help=PLANNED, show_default=False)]
+PLANS = f"or a planner ({', '.join(f'plan:{name}' for name in PLANNERS)})."
+PolicyOrPlanner = Annotated[str, typer.Argument(help=f"{ANY} {FEW}, {PLANS}", show_default=False)]
+PoliciesOrPlanners = Annotated[
+    list[str], typer.Argument(help=f"{ANY} a baseline ({', '.join(RULES)}), {PLANS}", show_default=False)
+]
 OfPreset = Annotated[
-    str | None, flag("NAME", "Environment, or your own (module:name or file.py:name); default: that of the run, or NadirScan-v1.")
+    str | None,
+    flag("NAME", "Environment, or your own (module:name or file.py:name); default: the environment of the run, or NadirScan-v1."),
 ]
 Plan = Annotated[
     list[str] | None, flag("NAME=VALUE", "Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable.")

@@ -44,7 +44,9 @@ def evaluate_policy(
     preset: OfPreset = None,
     option: Options = None,
     seeds: Seeds = "0:1000",
-    shield: Annotated[str | None, flag("NAME", "'safe', 'imager', or package.module:function.")] = None,
+    shield: Annotated[
+        str | None, flag("NAME", "Shield that removes dangerous actions: 'safe', 'imager', or package.module:function.")
+    ] = None,
     plan: Plan = None,
     baselines: Annotated[bool, typer.Option(help="Compare with all applicable baselines.")] = True,
     out: JsonFile = None,

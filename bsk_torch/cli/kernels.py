@@ -31,7 +31,7 @@ def build_kernels(
     isa: Annotated[
         str | None, flag("NAME", "'avx512', 'avx2', or 'default' (plain C++); default: the best of this machine.")
     ] = None,
-    mixed: Annotated[bool, typer.Option("--mixed", help="Also for mixed precision (sim_dtype=float32).")] = False,
+    mixed: Annotated[bool, typer.Option("--mixed", help="Also compile kernels for mixed precision (sim_dtype=float32).")] = False,
 ) -> None:
     """Compile the kernels of presets for machines without a compiler.
 

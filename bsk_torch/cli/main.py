@@ -108,7 +108,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "profile": (
             "bsk_torch.cli.train:profile",
-            "Print where the CPU time of a training goes, decisions per CPU-second, and what to change.",
+            "Show where the CPU time of a training goes, decisions per CPU-second, and what to change.",
         ),
         "build-kernels": (
             "bsk_torch.cli.kernels:build_kernels",

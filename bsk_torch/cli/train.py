@@ -64,8 +64,8 @@ def train(
         str | None,
         typer.Option(
             metavar="N",
-            help="Number of processes that collect experience, or 'auto' for as many as suit the available cores; default: none "
-            "in addition to the one that learns.",
+            help="Number of processes that collect experience, or 'auto' for as many as suit the available cores; default: only "
+            "the one that learns.",
             rich_help_panel=MACHINE,
         ),
     ] = None,
@@ -80,7 +80,7 @@ def train(
 ) -> None:
     """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.
 
-    It ends with whether the policy is better than the best rule, and else what is known to be.
+    The last line compares the policy with the best rule, and if it is not better, names a training that is known to be better.
 
     Examples:
         bsk-torch train NadirScan-v1 --minutes 3
@@ -137,9 +137,9 @@ def profile(
     *,
     options: Annotated[dict[str, object], ("backend", "device", "time_limit")],
 ) -> None:
-    """Print where the CPU time of a training goes, decisions per CPU-second, and what to change.
+    """Show where the CPU time of a training goes, decisions per CPU-second, and what to change.
 
-    Nothing is kept. The training is in one process and one thread, without evaluations.
+    The training runs in one process and one thread, without evaluations, and nothing is kept.
 
     Examples:
         bsk-torch profile NadirScan-v1

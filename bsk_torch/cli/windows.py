@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from bsk_torch.cli.declaration import flag
+from bsk_torch.cli.declaration import MACHINE, flag
 from bsk_torch.cli.shared import check_file
 from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
@@ -17,13 +17,15 @@ FORMS = (".csv", ".json")
 def windows(
     tle: Annotated[Path, flag("FILE", "Element sets: two-line sets, or OMM in JSON, CSV or XML.", show_default=False)],
     targets: Annotated[Path, flag("FILE", "Places in degrees on WGS84: .csv, .geojson or .json.", show_default=False)],
-    start: Annotated[str, flag("UTC", "Begin of the search, such as 2026-04-14T00:00:00Z.", show_default=False)],
+    start: Annotated[str, flag("UTC", "Start of the search, such as 2026-04-14T00:00:00Z.", show_default=False)],
     hours: Annotated[float, flag("H", "Length of the search.", min=0.01, max=1000.0)] = 24.0,
-    min_elevation: Annotated[float, flag("DEG", "Least elevation above the horizon.", min=-5.0, max=89.0)] = 10.0,
+    min_elevation: Annotated[float, flag("DEG", "Smallest elevation above the horizon.", min=-5.0, max=89.0)] = 10.0,
     out: Annotated[Path | None, flag("FILE", "File for the windows (.csv, .json); default: CSV on standard output.")] = None,
     gravity: Annotated[str, flag("NAME", "Constants of SGP4: 'wgs72' or 'wgs84'.")] = "wgs72",
-    max_age: Annotated[float, flag("DAYS", "Oldest elements that are used.", min=0.0)] = 30.0,
-    backend: Annotated[str, flag("NAME", "'compiled', or 'eager', which needs no compiler.")] = "compiled",
+    max_age: Annotated[float, flag("DAYS", "Largest age of elements.", min=0.0)] = 30.0,
+    backend: Annotated[
+        str, flag("NAME", "'compiled', or 'eager', which needs no compiler.", rich_help_panel=MACHINE)
+    ] = "compiled",
 ) -> None:
     """List when satellites are above places on the ground, by SGP4 and the WGS84 ellipsoid.
 

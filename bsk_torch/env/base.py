@@ -164,10 +164,10 @@ class Tasking(Present, MadeOfArguments):
         return Composite(flags, shape=b, **on)
 
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
-        if not isinstance(tensordict, TensorDictBase):
+        if not isinstance(tensordict, TensorDictBase) or tensordict.batch_size != self.batch_size:
             name = "'action'" if isinstance(self.action_keys[0], str) else f"{self.action_keys[0][0]!r}, 'action'"
-            messages.reject_call(type(self).__name__, name, tensordict)
-        super()._assert_tensordict_shape(tensordict)
+            shape = list(self.full_action_spec[self.action_keys[0]].shape)
+            messages.reject_call(type(self).__name__, name, tensordict, list(self.batch_size), shape)
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: object) -> TensorDict:
         if unknown:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -73,6 +74,10 @@ class EpisodePool:
         """Use satellite types with changed arguments; drop the episodes prepared for ``envs`` [n], or all of them."""
         if "fleet" in self.__dict__:
             self.fleet.change(types)
+        self.drop(envs)
+
+    def drop(self, envs: Tensor | None = None) -> None:
+        """Drop the episodes prepared for ``envs`` [n], or all of them."""
         self.filled[:, slice(None) if envs is None else envs.to(self.filled.device)] = False
 
     def holds(self, episodes: Tensor) -> bool:
@@ -178,6 +183,21 @@ class Episodes(EnvBase):
         values = torch.tensor([seed or 0 for seed in numbers], dtype=torch.int64, device=self.device)
         self.state.seed = torch.where(rows, values, self.state.seed)
         self.state.episode = self.episode.masked_fill(rows, -1)
+
+    @contextmanager
+    def numbered(self, env_ids: Tensor) -> Iterator[None]:
+        """Begin the episodes of this block with other ``env_ids`` [N]."""
+        own = self.env_ids
+        self._number(env_ids)
+        try:
+            yield
+        finally:
+            self._number(own)
+
+    def _number(self, env_ids: Tensor) -> None:
+        if self.pool is not None and not torch.equal(env_ids, self.env_ids):
+            self.pool.drop()
+        self.env_ids = self.fleet.env_ids = env_ids
 
     def _begin(self, envs: Tensor) -> None:
         state = self.state

@@ -51,8 +51,25 @@ def given_action(tensordict: TensorDictBase, *key: str) -> object:
     return action
 
 
-def reject_call(kind: str, key: str, received: object) -> NoReturn:
-    """Raise TypeError for an argument of ``step`` or ``reset`` of the class ``kind`` other than a tensordict."""
+def reject_call(kind: str, key: str, received: object, batch: list[int], shape: list[int]) -> NoReturn:
+    """Raise an error for an argument of ``step`` or ``reset`` of the class ``kind`` other than a tensordict [*batch].
+
+    Args:
+        kind: Name of the class of the environment.
+        key: Key of its actions.
+        received: The argument.
+        batch: Batch size of the environment.
+        shape: Shape of its actions.
+
+    Raises:
+        ValueError: For a tensordict of another batch size.
+        TypeError: For anything else.
+    """
+    if isinstance(received, TensorDictBase):
+        raise ValueError(
+            f"{kind} got a tensordict of batch size {list(received.batch_size)}; step and reset need {batch}, with actions "
+            f"td[{key}] of shape {shape}"
+        )
     raise TypeError(
         f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {received!r}: td = env.reset(); "
         f"td[{key}] = actions; td = env.step(td)['next']. For observation, reward, terminated, truncated, "

@@ -46,7 +46,7 @@ def view(
     out: Annotated[
         Path | None, flag("FILE", "Write a file (.html, .bskview, .czml, .oem, .csv, .json) instead of starting a server.")
     ] = None,
-    host: Annotated[str, flag("NAME", "Address of the server; others need a token.")] = "127.0.0.1",
+    host: Annotated[str, flag("NAME", "Address of the server; the default is reachable from this machine only.")] = "127.0.0.1",
     port: Annotated[int, flag("N", "Port of the server, or the next free one.", min=1, max=65535)] = 8765,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     plan: Plan = None,
@@ -56,8 +56,8 @@ def view(
 ) -> None:
     """Show an episode in the browser: a preset, a run or a recording.
 
-    The page of a server also shows the value of every action at a decision, and flies other futures from there. With --out, one
-    file plays without a server.
+    While the command runs, the page also shows the value of every action at a decision, and flies other futures from there. With
+    --out, the file plays without a server.
 
     Examples:
         bsk-torch view NadirScan-v1

@@ -106,7 +106,7 @@ def argument(function: Any, name: str) -> str:
 
 RULES = {
     "random": "takes every allowed action with the same probability",
-    "rule": "scans within thresholds of battery, wheels and buffer, and else repairs what is out of bounds",
+    "rule": "scans; charges, desaturates or downlinks when battery, wheels or buffer pass a threshold",
     "cautious": "the same with tuned thresholds",
     "science": "the same with the thresholds of this preset",
     "areas": "records the cells of areas, and looks after battery, wheels and store",
@@ -114,7 +114,7 @@ RULES = {
     "nearest": "takes the target whose window closes next",
     "hasty": "weighs value against slew and waiting time",
     "farsighted": "the same, with the best three images that can follow",
-    "commit": "takes images of sites that can be completed in time, and rather of those begun",
+    "commit": "takes images of sites that can be completed in time, and prefers sites that it has begun",
     "cooperative": "ranks like *farsighted* with turn rates and clouds; satellites leave each other their targets",
     "drift": "never thrusts",
     "circumnavigate": "flies around the spacecraft at its initial distance",
@@ -129,7 +129,7 @@ RULES = {
     "candidate_rate": "*rate* among the observed candidates",
     "candidate_rate_ahead": "*rate_ahead* among the observed candidates",
     "prompt": "images the candidate in sight with the most priority per second, and desaturates when idle",
-    "prompt_ahead": "the same with what is expected of the image",
+    "prompt_ahead": "the same, expected at the end of the image",
     "local": "each imager decides from what it knows of the others' images",
     "centralized": "the best joint choice of all imagers",
     "glide": "flies straight to the chief at a share of the safe speed",

@@ -21,6 +21,9 @@ PROGRAM = re.compile(r"\]\(((?:\.\./)*)(tutorials|\.\./examples)(?:/([\w/]+)\.py
 OUTSIDE = {"CHANGELOG.md": "/changelog.md", "ARCHITECTURE.md": "/contributing/architecture.md"}
 """Pages of the site that include a file of the repository."""
 
+POWER = re.compile(r"-?[\d.]+e[-+]?\d+")
+"""A number with an exponent, which browsers break after the hyphen."""
+
 FOLDERS = {"tutorials": "_tutorials", "../examples": "gallery"}
 
 
@@ -57,8 +60,16 @@ def link(app: Sphinx, page: nodes.document) -> None:
             code.replace_self(addnodes.pending_xref("", code.deepcopy(), refdoc=name, refexplicit=True, refwarn=True, **target))
 
 
+def keep_numbers_whole(app: Sphinx, page: nodes.document) -> None:
+    """Mark the cells of tables that hold one number with an exponent, for site.css."""
+    for cell in page.findall(nodes.entry):
+        if POWER.fullmatch(cell.astext()):
+            cell["classes"].append("number")
+
+
 def setup(app: Sphinx) -> ExtensionMetadata:
     """Add the changes of pages."""
     app.connect("source-read", read)
     app.connect("doctree-read", link)
+    app.connect("doctree-read", keep_numbers_whole)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

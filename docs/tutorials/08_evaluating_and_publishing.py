@@ -28,9 +28,7 @@ FRAMES = 65_536
 SECONDS = 28_500.0
 
 torch.set_num_threads(1)
-env = bsk_torch.make(
-    "NadirScan-v1", num_envs=EPISODES, env_ids=[0] * EPISODES, time_limit=SECONDS
-)
+env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
 players = {"trained": pretrained("NadirScan-v1"), "rule": bsk_torch.rule("rule", env)}
 results = {
     name: evaluate(player, env, seeds=range(EPISODES))

@@ -78,6 +78,7 @@ def test_pages_have_the_version_of_the_package_and_formulas_in_mathml(pages, sit
 
     assert re.search(rf"<title>[^<]*{re.escape(bsk_torch.__version__)}[^<]*</title>", pages[site / "index.html"].text)
     assert sum(page.text.count("<math") for page in pages.values()) > 20
+    assert '<td class="number"><p>1e-3</p></td>' in pages[site / "truth/index.html"].text
     assert not [path for path, page in pages.items() if re.search(r'class="[^"]*\bmath\b[^>]*>[^<]*(\\\(|\\\[)', page.text)]
 
 

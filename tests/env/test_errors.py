@@ -10,6 +10,7 @@ from types import ModuleType
 
 import pytest
 import torch
+from tensordict import TensorDict
 from typer.testing import CliRunner
 
 import bsk_torch
@@ -264,10 +265,12 @@ def test_rejects_wrong_actions_before_anything_moves():
         (td.clone().set("action", torch.tensor([0, 4])), ValueError, "action 4 of environment 1", "0: action_nadir_scan"),
         (td.clone().set("action", torch.tensor([-1, 0])), ValueError, "action -1 of environment 0"),
         (td.clone().set("action", torch.tensor([0.0, 1.0])), TypeError, "dtype torch.float32"),
-        ({"action": torch.tensor([0])}, ValueError, [1]),
+        (td.clone().set("action", torch.tensor([[0], [1]])), ValueError, "action has shape [2, 1]; it must be [2]"),
+        (TensorDict({"action": torch.tensor([0])}, [1]), ValueError, "batch size [1]", "need [2]", "td['action'] of shape [2]"),
+        (TensorDict({"action": torch.tensor([0, 1])}), ValueError, "batch size []; step", "need [2]"),
     ]
     with unchanged(env):
-        check_refusals(refusal(lambda given=given: env._step(given), *names) for given, *names in wrong)
+        check_refusals(refusal(lambda given=given: env.step(given), *names) for given, *names in wrong)
 
 
 def test_a_bad_draw_leaves_the_running_episodes_alone():

@@ -89,6 +89,18 @@ def test_seeds_start_what_gymnasium_starts(env):
     assert float(played.fill) == pytest.approx(float(alone.unwrapped.core.satellite.dynamics.storage_level_fraction), abs=1e-12)
 
 
+def test_seeds_are_those_of_environment_0_in_every_row_and_leave_the_rows_as_they_were():
+    """32 rows, whose next episodes are prepared in bulk."""
+    made = dict(num_envs=32, seed=0, time_limit=300.0)
+    env, zero = bsk_torch.make("NadirScan-v1", **made), bsk_torch.make("NadirScan-v1", **made, env_ids=[0] * 32)
+    begins = env.reset()["observation"]
+    seeds = [0, 3, *range(32)]  # seed 0 has just begun in every row, with other episodes
+    results = [evaluate("rule", each, seeds=seeds) for each in (env, zero)]
+    assert torch.equal(*(torch.cat([result.returns, result.fill]) for result in results))
+    env.set_seed(0)
+    assert torch.equal(env.reset()["observation"], begins)
+
+
 def test_the_cause_of_death_is_named():
     # desaturation takes 80 W, and more than the panel gives
     env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, sat_args={"storedCharge_Init": 1000.0}, time_limit=LIMIT)

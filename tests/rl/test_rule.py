@@ -19,7 +19,8 @@ def test_rules_act_in_both_kinds_of_environments():
     assert crew.rollout(2, bsk_torch.rule("hasty", crew))["agents", "action"].shape[-1] == 3
     check_refusals(
         refusal(lambda: bsk_torch.rule("hastey", crew), ValueError, "name='hastey'", "'hasty'"),
-        refusal(lambda: bsk_torch.rule("rule", crew), KeyError, "observed"),
+        refusal(lambda: bsk_torch.rule("rule", crew), ValueError, "observed", "Baselines that fit: random, greedy, nearest"),
+        refusal(lambda: bsk_torch.rule("greedy", env), ValueError, "observes no targets. Baselines that fit: random, rule"),
     )
 
 

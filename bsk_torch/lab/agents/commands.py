@@ -11,8 +11,8 @@ from bsk_torch.cli.terminal import refusing
 def mcp(preset: Preset, seeds: Seeds = "0", option: Options = None, *, options: EnvironmentOptions) -> None:
     """Serve episodes as tools to an agent: observe, list_actions, what_if, commit, report.
 
-    A client of the Model Context Protocol starts this command, and speaks with it over standard input and output. The episodes
-    are those of 'bsk-torch eval' with these seeds. Needs the extra mcp.
+    A client of the Model Context Protocol starts this command, and speaks with it over standard input and output. The seeds
+    start the same episodes as in 'bsk-torch eval'. Needs the extra mcp.
 
     Examples:
         bsk-torch mcp NadirScan-v1 --seeds 0:8

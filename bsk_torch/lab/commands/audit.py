@@ -24,10 +24,10 @@ def audit_policy(
     preset: OfPreset = None,
     option: Options = None,
     seeds: Seeds = "0:8",
-    horizon: Annotated[float, flag("S", "Length of branches in seconds; default: to the end of the episode.")] = float("inf"),
+    horizon: Annotated[float, flag("S", "Length of branches in seconds; 'inf': to the end of the episode.")] = float("inf"),
     gamma: Annotated[float, flag("G", "Discount per second.", min=0.0, max=1.0)] = 1.0,
     futures: Annotated[int | None, flag("N", "Futures drawn for each decision; default: the true one.", min=2)] = None,
-    budget: Annotated[int | None, flag("N", "Number of actions to value, those that the policy prefers.", min=1)] = None,
+    budget: Annotated[int | None, flag("N", "Value only the N actions that the policy prefers; default: all.", min=1)] = None,
     num_envs: AtOnce = 16,
     draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the regrets.")] = None,
     out: Annotated[Path | None, flag("FILE", "JSON file for all decisions.")] = None,
@@ -37,7 +37,7 @@ def audit_policy(
 ) -> None:
     """Find the decisions at which a policy loses, by flying all other actions as well.
 
-    The regret of a decision is the return of the best action minus that of the chosen one, both followed by the policy.
+    The regret of a decision is the return of the best action minus the return of the chosen action; the policy follows both.
 
     Examples:
         bsk-torch audit runs/scan --seeds 0:16 --draw regret.png

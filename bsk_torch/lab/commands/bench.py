@@ -55,20 +55,20 @@ def bench(
     policies: Annotated[
         list[str],
         typer.Argument(
-            help="'pretrained'; a baseline, also with a view of the presets such as survey,actions=waypoints; a policy file of "
-            "any library, or a run folder; a planner with its options such as plan:rollout,base=hasty,horizon=240; or your own "
-            "function as package.module:function, with strings for it after commas.",
+            help="'pretrained'; a baseline, perhaps with a view of the presets such as survey,actions=waypoints; a policy file "
+            "of any library, or a run folder; a planner with options such as plan:rollout,base=hasty,horizon=240; or your own "
+            "function as package.module:function, perhaps with text arguments after commas.",
             show_default=False,
         ),
     ],
     suite: Annotated[str, flag("NAME", "Suite of fixed episodes.")] = "v1",
-    presets: Annotated[str | None, flag("NAMES", "Only some of its presets or other tasks, separated by commas.")] = None,
+    presets: Annotated[str | None, flag("NAMES", "Only these presets or other tasks of the suite, separated by commas.")] = None,
     folder: Annotated[Path | None, flag("FOLDER", "Cases of AEOS-Bench, as another task of the suite aeosbench.")] = None,
     episodes: Annotated[
-        int | None, flag("N", "Number of episodes per task, the first N; default: all.", min=1, show_default=False)
+        int | None, flag("N", "Play the first N episodes of each task; default: all.", min=1, show_default=False)
     ] = None,
     earlier: Annotated[
-        list[Path] | None, flag("FILE", "JSON file of an earlier run, whose policies are also shown; repeatable.", "--with")
+        list[Path] | None, flag("FILE", "JSON file of an earlier run, to show its policies as well; repeatable.", "--with")
     ] = None,
     out: Annotated[Path | None, flag("FILE", "JSON file for results and returns of all episodes.")] = None,
     certify: Annotated[int, flag("N", "Repeat the first N episodes of each task on Basilisk, if it is installed.", min=0)] = 0,

@@ -62,8 +62,9 @@ def dataset(
 ) -> None:
     """Write episodes of several policies for offline learning, with the returns of all actions at a sample of decisions.
 
-    The transitions are tensordicts in the layout of TorchRL, mapped from files. At the sampled decisions, every legal action is
-    flown to the end of the episode, followed by each target: off-policy evaluation can be scored against these returns.
+    The transitions are tensordicts in the layout of TorchRL, mapped from files. At each sampled decision, every legal
+    action is flown, and each target policy flies on to the end of the episode. These returns are the truth for off-policy
+    evaluation.
 
     Examples:
         bsk-torch dataset NadirScan-v1 --out data/scan --seeds 0:256

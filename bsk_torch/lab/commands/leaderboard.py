@@ -31,8 +31,8 @@ def leaderboard(
         list[Path] | None,
         typer.Argument(
             metavar="FILE...",
-            help="JSON files of bsk-torch bench. Of a policy that played a task more than "
-            "once, the result of the most episodes counts, then that of the last file.",
+            help="JSON files of bsk-torch bench. If a policy played a task repeatedly, the result of the most episodes counts; "
+            "among equals, the result in the last file.",
             show_default=False,
         ),
     ] = None,
@@ -40,12 +40,12 @@ def leaderboard(
         list[str] | None,
         typer.Option(
             metavar="NAME=PATTERN",
-            help="The policies whose names match PATTERN are runs of the method NAME, as many in each task; repeatable, also for "
-            "the same method. Default: each policy is a method.",
+            help="Policies whose names match PATTERN are runs of the method NAME, which needs equally many in each task; "
+            "repeatable, also for the same method. Default: each policy is a method.",
             show_default=False,
         ),
     ] = None,
-    presets: Annotated[str | None, flag("NAMES", "Only some presets or other tasks of the suite, separated by commas.")] = None,
+    presets: Annotated[str | None, flag("NAMES", "Only these presets or other tasks of the suite, separated by commas.")] = None,
     against: Annotated[str | None, flag("NAME", "Method with which the others are compared; default: the best.")] = None,
     published_suite: Annotated[
         str | None, flag("SUITE", "Also compare with the methods published for the suite, such as v2.", "--published")
@@ -55,8 +55,8 @@ def leaderboard(
 ) -> None:
     """Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).
 
-    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks, the optimality gap is how far
-    scores are below 1 on average. "better than" is the probability that a run has a higher score than one of the other method.
+    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks; the optimality gap is how far
+    scores are below 1 on average. "better than" is the probability that a run scores higher than a run of the other method.
 
     Examples:
         bsk-torch leaderboard bench.json --draw profiles.png

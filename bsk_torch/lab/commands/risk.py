@@ -58,8 +58,9 @@ def estimate_risk(
 ) -> None:
     """Estimate the probability of a rare loss, with its interval, and show the ways to it.
 
-    Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). Where draws at
-    reset decide about the event, --method screen needs fewer simulated seconds. An event that never happens has an upper limit.
+    Subset simulation changes initial states, scenarios, faults and noise in small steps toward the event. Where draws at reset
+    decide about the event, --method screen needs fewer simulated seconds. If the event never happens, the result is an upper
+    limit.
 
     Examples:
         bsk-torch risk pretrained --preset NadirScan-v1 --save deaths.json

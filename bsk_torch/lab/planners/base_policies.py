@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import Tasking
 from bsk_torch.rl.policies.loading import load_policy
-from bsk_torch.rl.policies.shared_policy import as_policy, rule
+from bsk_torch.rl.policies.shared_policy import as_policy, baseline, shared
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.policies import Actor
@@ -38,7 +38,7 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
     if base is None:
         for name in USUAL:
             with suppress(KeyError, ValueError):
-                return rule(name, env)
+                return shared(baseline(name, env), env)
         raise ValueError("base=None: none of the rules fits the environment; give a policy")
     if not isinstance(base, str | Path):
         return as_policy(base, env)

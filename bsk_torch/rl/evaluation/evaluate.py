@@ -121,16 +121,16 @@ def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Seq
             Entries written under ``next``, such as a recurrent state, are passed to the policy at the next decision.
         env: The environment, with one satellite or several; its episodes are reset.
         seed: Play one episode in each of the environment's N rows: the episodes started after ``env.set_seed(seed)``.
-        seeds: Play one episode for each seed, N at a time: the episodes started by ``gymnasium.make(...).reset(seed=...)``. The
-            environment must have ``env_ids=[0] * N``.
+        seeds: Play one episode for each seed, N at a time: the episodes started by ``gymnasium.make(...).reset(seed=...)``.
+            Arguments with a value for each environment have the value of environment 0.
 
     Returns:
         Results of the episodes. In a constellation, they are sums over its satellites; ``survived`` is True if all survived.
 
     Raises:
         TypeError: For anything else, with what to write.
-        ValueError: For empty ``seeds``, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a
-            policy that reads observations missing in the environment.
+        ValueError: For empty ``seeds``, both ``seed`` and ``seeds``, or a policy that reads observations missing in the
+            environment.
     """
     policy = as_policy(policy, env)
     check_reads(policy, env.observation_spec, TRAINED_WITH if isinstance(env, SatelliteTasking) else SHARE)
@@ -141,7 +141,8 @@ def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Seq
         return _evaluated(policy, env, env.reset(), env.batch_size[0])
     n = env.batch_size[0]
     batches = [seeds[k : k + n] for k in range(0, len(seeds), n)]
-    return Evaluation.joined([_evaluated(policy, env, start_episodes(env, batch), len(batch)) for batch in batches])
+    with env.numbered(torch.zeros_like(env.env_ids)):
+        return Evaluation.joined([_evaluated(policy, env, start_episodes(env, batch), len(batch)) for batch in batches])
 
 
 def start_episodes(env: Tasking, seeds: Sequence[int]) -> TensorDictBase:

@@ -52,7 +52,7 @@ def compare(
         policies: Policies by name, or a list; see :func:`~bsk_torch.rl.evaluation.evaluate.evaluate` for what they may be.
         env: The environment, which plays one episode in each row, unless ``seeds`` are given.
         seed: Seed of the training; evaluation uses the episodes of ``seed`` + :data:`FRESH`, which training does not see.
-        seeds: Seeds of the episodes instead, for an environment with ``env_ids=[0] * N``.
+        seeds: Seeds of the episodes instead.
         rules: Whether to add the rules of the package that apply, and random actions.
 
     Returns:

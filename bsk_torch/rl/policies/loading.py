@@ -20,7 +20,7 @@ from bsk_torch.rl.policies import network_files, rllib_checkpoint, sb3_zip
 from bsk_torch.rl.policies.checksummed import is_checksummed
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
 from bsk_torch.rl.policies.interface import Loaded
-from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared, shared_baselines
+from bsk_torch.rl.policies.shared_policy import RULES, fitting_baseline, shared
 from bsk_torch.sim.names import nearest
 from bsk_torch.wrappers.policies import Model
 
@@ -125,17 +125,7 @@ def read_policy(source: Path | str, trust: bool = False) -> Loaded:
 
 def rule_named(name: str) -> Loaded:
     """Return one of the rules, to be fitted to an environment."""
-
-    def fit(env: Tasking, where: str) -> TensorDictModuleBase:
-        try:
-            return baseline(name, env)
-        except (KeyError, ValueError) as error:
-            fitting = ", ".join(shared_baselines(env))
-            raise ValueError(
-                f"the policy {name!r} does not fit {where}: {error.args[0]}. Baselines that fit: {fitting}"
-            ) from error
-
-    return Loaded(fit, f"bsk_torch {__version__}")
+    return Loaded(lambda env, where: fitting_baseline(name, env, where=where), f"bsk_torch {__version__}")
 
 
 def is_function(name: str) -> bool:

@@ -252,6 +252,15 @@ def baseline_of_groups(
     return of_groups(policies)
 
 
+def fitting_baseline(name: str, env: Tasking, seed: int = 0, where: str = "this environment") -> TensorDictModuleBase:
+    """Return a :func:`baseline`; if it does not apply to ``env``, called ``where``, ValueError with the rules that do."""
+    try:
+        return baseline(name, env, seed)
+    except (KeyError, ValueError) as error:
+        fitting = ", ".join(shared_baselines(env))
+        raise ValueError(f"the policy {name!r} does not fit {where}: {error.args[0]}. Baselines that fit: {fitting}") from error
+
+
 def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     """Return a rule or the random policy for all satellites of ``env``, a single one or a constellation.
 
@@ -299,14 +308,14 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
         seed: Seed of random actions.
 
     Raises:
-        KeyError: If the rule reads an observation missing in all groups; the message names it.
-        ValueError: For an unknown name, or unsuitable actions.
+        ValueError: For an unknown name, or a rule that reads observations or chooses actions missing in all groups; the message
+            lists the rules that fit.
     """
     if name not in RULES:
         hint = nearest(name, RULES)
         fitting = f"those of this environment: {', '.join(shared_baselines(env))}"
         raise ValueError(f"name={name!r} is not a rule; {hint if hint.startswith('did you mean') else fitting}")
-    return shared(baseline(name, env, seed), env)
+    return shared(fitting_baseline(name, env, seed), env)
 
 
 def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleBase]:
@@ -314,5 +323,5 @@ def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleB
     fitting = {}
     for name in RULES:
         with suppress(KeyError, ValueError):  # a rule for other observations or actions
-            fitting[name] = rule(name, env, seed)
+            fitting[name] = shared(baseline(name, env, seed), env)
     return fitting

@@ -37,7 +37,7 @@ def plan_case(
     model: Annotated[
         str, flag("NAME", "Slews between observations: 'verifier', the benchmark's, or 'flyable', by a body under its limits.")
     ] = "verifier",
-    margin: Annotated[float, flag("S", "Further time in each gap between observations, seconds.", min=0.0)] = 0.0,
+    margin: Annotated[float, flag("S", "Additional time in each gap between observations, in seconds.", min=0.0)] = 0.0,
     seed: Annotated[int, flag("N", "Seed of the planner.", min=0)] = 0,
 ) -> None:
     """Plan the observations of a case of aeossp_standard, and write a solution that its verifier accepts.
