@@ -1,8 +1,8 @@
 """Passes of satellites over places on the ground, for all satellites and places of a batch at once.
 
 The search has three stages. A coarse screen compares every place with one sample in eight, as a matrix product of unit
-vectors, and drops most pairs. The remaining pairs are classified at every sample, 30 s apart. Crossings of the elevation limit
-are then refined by root finding on an interpolated ground track.
+vectors, and the places that this leaves with the samples around it, which drops most pairs. The remaining pairs are classified at
+every sample, 30 s apart. Crossings of the elevation limit are then refined by root finding on an interpolated ground track.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 from bsk_torch.astro.geodetic import LARGEST_DEFLECTION
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.access.passes.screen import directions_above, sorted_events
+from bsk_torch.sim.access.passes.screen import Cells, places_near, sorted_events
 from bsk_torch.sim.access.visibility.geometry import ABOVE_LIMIT, RISE, SAMPLES_PER_CELL, SET, SHORT_PASS, SearchCells
 from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
@@ -31,6 +31,9 @@ SCREEN_PRODUCTS, DEVICE_SCREEN_PRODUCTS = 1 << 20, 1 << 26
 
 SCREEN_SLACK = 1e-5
 """Angle, rad, that the coarse screen adds to the reach of a cell: the products are float32, with errors of 1e-7."""
+
+NEAREST = 0.6
+"""Largest turn between a moment and the nearest sample, as part of that between samples: half, and more where it speeds up."""
 
 
 class GroundTrack(NamedTuple):
@@ -82,6 +85,8 @@ def coarse_screen(track: GroundTrack, places: Sites, kernels: bool = True) -> tu
 
     with theta_max for the lowest limit, the lowest place and the highest altitude in the cell, which makes it largest. That is
     a comparison of the scalar product of two unit vectors with the cosine of the right-hand side: one matrix product for all.
+    Of the places that are left, those can be visible that are as near to one of the samples of the cell, with :data:`NEAREST` of
+    the largest angle between two successive samples in place of psi.
     """
     samples = track.r_BP_P.shape[1]
     half = SAMPLES_PER_CELL // 2
@@ -90,34 +95,38 @@ def coarse_screen(track: GroundTrack, places: Sites, kernels: bool = True) -> tu
     )
     around = (middle + torch.arange(-half - 1, half + 2, device=middle.device)).clamp(0, samples - 1)
     distance = track.r_BP_P.norm(dim=-1)
-    unit = track.r_BP_P / distance.unsqueeze(-1)
-    unit_middle = unit[:, around[:, half + 1]]
-    cos_psi = (unit[:, around] * unit_middle.unsqueeze(2)).sum(-1).amin(-1)
+    unit = (track.r_BP_P / distance.unsqueeze(-1))[:, around]
+    unit_middle = unit[:, :, half + 1]
+    cos_psi = (unit * unit_middle.unsqueeze(2)).sum(-1).amin(-1)
+    cos_step = (unit[:, :, 1:] * unit[:, :, :-1]).sum(-1).amin(-1)
     radius = places.r_LP_P.norm(dim=-1)
     ratio = radius.nan_to_num(nan=torch.inf).amin(-1, keepdim=True) / distance[:, around].amax(-1)
     theta_max = max_central_angle(ratio, places.sin_min_elevation.amin(-1, keepdim=True))
     slack = SCREEN_SLACK if places.shift is None else SCREEN_SLACK + 2.0 * LARGEST_DEFLECTION  # which turns theta_max, too
-    reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + slack
-    cos_reach = torch.cos(reach.clamp(max=torch.pi)).float()
+    turns = torch.acos(cos_psi.clamp(max=1.0)), NEAREST * torch.acos(cos_step.clamp(max=1.0))
+    limit, near = (torch.cos((turn + theta_max + slack).clamp(max=torch.pi)).float() for turn in turns)
+    cells = Cells(unit_middle.float(), limit, unit.float(), near)
     if kernels:
-        return directions_above(unit_middle.float(), places.r_LP_P, cos_reach)
-    unit_places = places.r_LP_P.float() / radius.float().unsqueeze(-1)
-    return _products_above(unit_middle.float(), unit_places, cos_reach)
+        return places_near(cells, places.r_LP_P)
+    return _near_on_tensors(cells, places.r_LP_P.float() / radius.float().unsqueeze(-1))
 
 
-def _products_above(middle: Tensor, places: Tensor, limit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return row, place and cell where ``middle`` [n, C, 3] times ``places`` [n or 1, P, 3] exceeds ``limit`` [n, C].
+def _near_on_tensors(cells: Cells, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the same as :func:`~bsk_torch.sim.access.passes.screen.places_near`; ``places`` [n or 1, P, 3] are directions.
 
     Products with the NaN of missing places exceed nothing.
     """
-    room = SCREEN_PRODUCTS if middle.device.type == "cpu" else DEVICE_SCREEN_PRODUCTS
-    at_once = max(1, room // (middle.shape[1] * places.shape[1]))
+    room = SCREEN_PRODUCTS if places.device.type == "cpu" else DEVICE_SCREEN_PRODUCTS
+    at_once = max(1, room // (cells.limit.shape[1] * places.shape[1]))
     crossings = []
-    for first in range(0, len(middle), at_once):
-        part = slice(first, first + at_once)
-        near = middle[part] @ (places if len(places) == 1 else places[part]).mT > limit[part].unsqueeze(-1)
-        row, cell, place = torch.nonzero(near, as_tuple=True)
-        crossings.append((row + first, place, cell))
+    for first in range(0, len(cells.limit), at_once):
+        part = Cells(*(table[first : first + at_once] for table in cells))
+        directions = places if len(places) == 1 else places[first : first + at_once]
+        row, cell, place = torch.nonzero(part.middle @ directions.mT > part.limit.unsqueeze(-1), as_tuple=True)
+        direction = directions[row if len(places) > 1 else torch.zeros_like(row), place]
+        nearest = (part.track[row, cell] * direction.unsqueeze(1)).sum(-1).amax(-1)
+        kept = torch.nonzero(nearest > part.near[row, cell]).squeeze(-1)
+        crossings.append((row[kept] + first, place[kept], cell[kept]))
     row, place, cell = (torch.cat(parts) for parts in zip(*crossings, strict=True))
     return row, place, cell
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,7 +16,7 @@ from torch import Tensor
 from bsk_torch.codegen.build import entry, load
 from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL
 
-KERNELS = {"screen": "iiiii" + "ppp" + "pp", "events": "iiii" + "pppp" + "pp"}
+KERNELS = {"screen": "iiiii" + "ppppp" + "pp", "events": "iiii" + "pppp" + "pp"}
 """Signature of each kernel, whose name is that of its file."""
 
 
@@ -25,15 +26,37 @@ def list_kernel(name: str) -> Callable[..., None]:
     return entry(load(Path(__file__).with_name(f"{name}.cpp").read_text(), f"search for passes ({name})"), KERNELS[name])
 
 
-def directions_above(middle: Tensor, r_LP_P: Tensor, limit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return row, place and cell where ``middle`` [n, C, 3] times the directions of places exceeds ``limit`` [n, C], in float32.
+TRACK = 16
+"""Samples of a track in the kernel, which fill its vectors."""
+
+
+class Cells(NamedTuple):
+    """Where n satellites are in C cells, and which directions are near then, in float32.
+
+    Attributes:
+        middle: Direction in the middle of each cell, [n, C, 3].
+        limit: Least product with the direction of a place that may be near, [n, C].
+        track: Directions at the samples of each cell, [n, C, K, 3].
+        near: Least product with one of these, [n, C].
+    """
+
+    middle: Tensor
+    limit: Tensor
+    track: Tensor
+    near: Tensor
+
+
+def places_near(cells: Cells, r_LP_P: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return row, place and cell, [m] each, of places near satellites: both products exceed their limits.
 
     Positions ``r_LP_P`` [n or 1, P, 3] m are NaN for missing places. Pairs come in the order of rows, cells and places.
     """
-    rows, cells = limit.shape
+    rows, count = cells.limit.shape
     number, threads = torch.zeros(1, dtype=torch.int64), max(1, min(rows, torch.get_num_threads()))
-    tables = r_LP_P.contiguous(), middle.contiguous(), limit.contiguous()
-    sizes = rows, cells, r_LP_P.shape[1], len(r_LP_P) == 1, threads
+    index = torch.arange(TRACK).clamp(max=cells.track.shape[2] - 1)
+    track = cells.track.permute(0, 1, 3, 2)[..., index]
+    tables = [table.contiguous() for table in (r_LP_P, cells.middle, cells.limit, track, cells.near)]
+    sizes = rows, count, r_LP_P.shape[1], len(r_LP_P) == 1, threads
     list_kernel("screen")(*sizes, *tables, number, None)
     pairs = torch.empty(3, int(number), dtype=torch.int64)
     list_kernel("screen")(*sizes, *tables, number, pairs)
