@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from typing_extensions import override
 
@@ -21,6 +22,9 @@ from bsk_torch.scene.draws import (
 )
 from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.hooks import check_class
+
+AT_ONCE = 1 << 16
+"""Targets whose positions are computed at once: temporary tensors that leave the processor's cache take twice as long."""
 
 
 class UniformTargets(TargetScenario):
@@ -70,4 +74,5 @@ class UniformTargets(TargetScenario):
     def places(self, key: Key) -> dict[str, Tensor]:
         """Draw positions: return ``target_r_LP_P`` [n or 1, T, 3] m, and optionally further values of the targets, by name."""
         u = key.named("target_r_LP_P").uniform(2 * self.most_targets)
-        return {"target_r_LP_P": self.radius * on_sphere(u.view(len(key), -1, 2))}
+        blocks = u.view(len(key), -1, 2).split(max(1, AT_ONCE // self.most_targets))
+        return {"target_r_LP_P": torch.cat([self.radius * on_sphere(block) for block in blocks])}

@@ -108,17 +108,19 @@ def print_report(case: Case, observations: Observations, report: Report) -> None
 def fly_solution(
     case: CaseFolder,
     solution: SolutionFile,
-    power: Annotated[str, flag("NAME", "Load of slews: 'case', as in the case, or 'wheels', that of the wheels.")] = "case",
-    tick: Annotated[float, flag("S", "Length of a tick.")] = 0.1,
-    margins: Annotated[str, flag("S,S,...", "Also fly the plan without observations whose gaps have less slack.")] = "",
+    power: Annotated[str, flag("NAME", "Power of slews: 'case', as in the case, or 'wheels', as the wheels need.")] = "case",
+    tick: Annotated[float, flag("S", "Length of a tick in seconds.")] = 0.1,
+    margins: Annotated[
+        str, flag("S,S,...", "Also fly the plan without observations whose gaps have less slack than S seconds.")
+    ] = "",
     out: JsonFile = None,
     *,
     options: Annotated[dict[str, object], ("threads",)],
 ) -> None:
     """Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.
 
-    The row 'honest' is flown with the slew limits of the case, the row 'as promised' with the smallest common factor of these
-    limits with which all is delivered; without the latter, none up to 4 does.
+    The row 'honest' has the slew limits of the case. The row 'as promised' multiplies them by the smallest factor with which
+    everything is delivered; it is missing if no factor up to 4 suffices.
 
     Examples:
         bsk-torch aeossp fly test/case_0001 solution.json

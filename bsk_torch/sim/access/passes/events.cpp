@@ -1,4 +1,4 @@
-// Event codes as sorted lists; called by screen.py, which says what it computes.
+// Event codes as sorted lists; called by passes.py, which says what it computes.
 
 #include <algorithm>
 #include <cstdint>

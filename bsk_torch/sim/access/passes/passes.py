@@ -1,8 +1,8 @@
 """Passes of satellites over places on the ground, for all satellites and places of a batch at once.
 
 The search has three stages. A coarse screen compares every place with one sample in eight, as a matrix product of unit
-vectors, and drops most pairs. The remaining pairs are classified at every sample, 30 s apart. Crossings of the elevation limit
-are then refined by root finding on an interpolated ground track.
+vectors, and the places that this leaves with the samples around it, which drops most pairs. The remaining pairs are classified at
+every sample, 30 s apart. Crossings of the elevation limit are then refined by root finding on an interpolated ground track.
 """
 
 from __future__ import annotations
@@ -33,6 +33,9 @@ SCREEN_PRODUCTS, DEVICE_SCREEN_PRODUCTS = 1 << 20, 1 << 26
 SCREEN_SLACK = 1e-5
 """Angle, rad, that the coarse screen adds to the reach of a cell: the products are float32, with errors of 1e-7."""
 
+NEAREST = 0.6
+"""Largest turn between a moment and the nearest sample, as part of that between samples: half, and more where it speeds up."""
+
 
 class GroundTrack(NamedTuple):
     """Earth-fixed positions of satellites, [n, K, 3] m, every 30 s from ``start`` [n] s on."""
@@ -48,6 +51,26 @@ class GroundTrack(NamedTuple):
     def time(self, row: Tensor, sample: Tensor) -> Tensor:
         """Return the times, s, of the samples with these numbers on the tracks of these rows, of shapes that broadcast."""
         return self.start[row] + PLAN_STEP * sample.to(self.start.dtype)  # never of torch's default type, which may be short
+
+
+TRACK = 16
+"""Samples of a track in the kernel, which fill its vectors."""
+
+
+class Cells(NamedTuple):
+    """Where n satellites are in C cells, and which directions are near then, in float32.
+
+    Attributes:
+        middle: Direction in the middle of each cell, [n, C, 3].
+        limit: Least product with the direction of a place that may be near, [n, C].
+        track: Directions at the samples of each cell, [n, C, K, 3].
+        near: Least product with one of these, [n, C].
+    """
+
+    middle: Tensor
+    limit: Tensor
+    track: Tensor
+    near: Tensor
 
 
 class PassEvents(NamedTuple):
@@ -83,6 +106,8 @@ def coarse_screen(track: GroundTrack, places: Sites, kernels: bool = True) -> tu
 
     with theta_max for the lowest limit, the lowest place and the highest altitude in the cell, which makes it largest. That is
     a comparison of the scalar product of two unit vectors with the cosine of the right-hand side: one matrix product for all.
+    Of the places that are left, those can be visible that are as near to one of the samples of the cell, with :data:`NEAREST` of
+    the largest angle between two successive samples in place of psi.
     """
     samples = track.r_BP_P.shape[1]
     half = SAMPLES_PER_CELL // 2
@@ -91,34 +116,38 @@ def coarse_screen(track: GroundTrack, places: Sites, kernels: bool = True) -> tu
     )
     around = (middle + torch.arange(-half - 1, half + 2, device=middle.device)).clamp(0, samples - 1)
     distance = track.r_BP_P.norm(dim=-1)
-    unit = track.r_BP_P / distance.unsqueeze(-1)
-    unit_middle = unit[:, around[:, half + 1]]
-    cos_psi = (unit[:, around] * unit_middle.unsqueeze(2)).sum(-1).amin(-1)
+    unit = (track.r_BP_P / distance.unsqueeze(-1))[:, around]
+    unit_middle = unit[:, :, half + 1]
+    cos_psi = (unit * unit_middle.unsqueeze(2)).sum(-1).amin(-1)
+    cos_step = (unit[:, :, 1:] * unit[:, :, :-1]).sum(-1).amin(-1)
     radius = places.r_LP_P.norm(dim=-1)
     ratio = radius.nan_to_num(nan=torch.inf).amin(-1, keepdim=True) / distance[:, around].amax(-1)
     theta_max = max_central_angle(ratio, places.sin_min_elevation.amin(-1, keepdim=True))
     slack = SCREEN_SLACK if places.shift is None else SCREEN_SLACK + 2.0 * LARGEST_DEFLECTION  # which turns theta_max, too
-    reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + slack
-    cos_reach = torch.cos(reach.clamp(max=torch.pi)).float()
+    turns = torch.acos(cos_psi.clamp(max=1.0)), NEAREST * torch.acos(cos_step.clamp(max=1.0))
+    limit, near = (torch.cos((turn + theta_max + slack).clamp(max=torch.pi)).float() for turn in turns)
+    cells = Cells(unit_middle.float(), limit, unit.float(), near)
     if kernels:
-        return directions_above(unit_middle.float(), places.r_LP_P, cos_reach)
-    unit_places = places.r_LP_P.float() / radius.float().unsqueeze(-1)
-    return _products_above(unit_middle.float(), unit_places, cos_reach)
+        return places_near(cells, places.r_LP_P)
+    return _near_on_tensors(cells, places.r_LP_P.float() / radius.float().unsqueeze(-1))
 
 
-def _products_above(middle: Tensor, places: Tensor, limit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return row, place and cell where ``middle`` [n, C, 3] times ``places`` [n or 1, P, 3] exceeds ``limit`` [n, C].
+def _near_on_tensors(cells: Cells, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the same as :func:`~places_near`; ``places`` [n or 1, P, 3] are directions.
 
     Products with the NaN of missing places exceed nothing.
     """
-    room = SCREEN_PRODUCTS if middle.device.type == "cpu" else DEVICE_SCREEN_PRODUCTS
-    at_once = max(1, room // (middle.shape[1] * places.shape[1]))
+    room = SCREEN_PRODUCTS if places.device.type == "cpu" else DEVICE_SCREEN_PRODUCTS
+    at_once = max(1, room // (cells.limit.shape[1] * places.shape[1]))
     crossings = []
-    for first in range(0, len(middle), at_once):
-        part = slice(first, first + at_once)
-        near = middle[part] @ (places if len(places) == 1 else places[part]).mT > limit[part].unsqueeze(-1)
-        row, cell, place = torch.nonzero(near, as_tuple=True)
-        crossings.append((row + first, place, cell))
+    for first in range(0, len(cells.limit), at_once):
+        part = Cells(*(table[first : first + at_once] for table in cells))
+        directions = places if len(places) == 1 else places[first : first + at_once]
+        row, cell, place = torch.nonzero(part.middle @ directions.mT > part.limit.unsqueeze(-1), as_tuple=True)
+        direction = directions[row if len(places) > 1 else torch.zeros_like(row), place]
+        nearest = (part.track[row, cell] * direction.unsqueeze(1)).sum(-1).amax(-1)
+        kept = torch.nonzero(nearest > part.near[row, cell]).squeeze(-1)
+        crossings.append((row[kept] + first, place[kept], cell[kept]))
     row, place, cell = (torch.cat(parts) for parts in zip(*crossings, strict=True))
     return row, place, cell
 
@@ -198,7 +227,7 @@ def sorted_on_tensors(codes: Tensor, row: Tensor, place: Tensor, cell: Tensor, l
 # -- lists made by kernels -----------------------------------------------------------------------------------------------------
 
 
-KERNELS = {"screen": "iiiii" + "ppp" + "pp", "events": "iiii" + "pppp" + "pp"}
+KERNELS = {"screen": "iiiii" + "ppppp" + "pp", "events": "iiii" + "pppp" + "pp"}
 """Signature of each kernel, whose name is that of its file."""
 
 
@@ -208,15 +237,17 @@ def list_kernel(name: str) -> Callable[..., None]:
     return entry(load(Path(__file__).with_name(f"{name}.cpp").read_text(), f"search for passes ({name})"), KERNELS[name])
 
 
-def directions_above(middle: Tensor, r_LP_P: Tensor, limit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return row, place and cell where ``middle`` [n, C, 3] times the directions of places exceeds ``limit`` [n, C], in float32.
+def places_near(cells: Cells, r_LP_P: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return row, place and cell, [m] each, of places near satellites: both products exceed their limits.
 
     Positions ``r_LP_P`` [n or 1, P, 3] m are NaN for missing places. Pairs come in the order of rows, cells and places.
     """
-    rows, cells = limit.shape
+    rows, count = cells.limit.shape
     number, threads = torch.zeros(1, dtype=torch.int64), max(1, min(rows, torch.get_num_threads()))
-    tables = r_LP_P.contiguous(), middle.contiguous(), limit.contiguous()
-    sizes = rows, cells, r_LP_P.shape[1], len(r_LP_P) == 1, threads
+    index = torch.arange(TRACK).clamp(max=cells.track.shape[2] - 1)
+    track = cells.track.permute(0, 1, 3, 2)[..., index]
+    tables = [table.contiguous() for table in (r_LP_P, cells.middle, cells.limit, track, cells.near)]
+    sizes = rows, count, r_LP_P.shape[1], len(r_LP_P) == 1, threads
     list_kernel("screen")(*sizes, *tables, number, None)
     pairs = torch.empty(3, int(number), dtype=torch.int64)
     list_kernel("screen")(*sizes, *tables, number, pairs)
