@@ -358,13 +358,13 @@ class ActionBuilder:
             check_modes(f"{type(entry).__name__}.table()", table.mode, everywhere, self.satellite.simulator.mode_names)
         return table
 
-    def _rows_of(self, k: int, action: Tensor) -> Tensor:
-        """Return in which rows a checked ``action`` [N] belongs to the k-th entry, [N] bool."""
+    def _rows_of(self, k: int, action: Tensor, among: Tensor) -> Tensor:
+        """Return in which rows ``among`` some, [N] bool, a checked ``action`` [N] belongs to the k-th entry, [N] bool."""
         if len(self.entries) == 1:
-            return torch.ones_like(action, dtype=torch.bool)
+            return among
         first = self._starts[k]
         mask = (action >= first) & (action < first + self.entries[k].n_actions)
-        return mask | (action < 0) if k == self._takes_negative else mask
+        return (mask | (action < 0) if k == self._takes_negative else mask) & among
 
     def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
         """Return the commands of ``action`` [N] after actions with the keys ``previous`` [N].
@@ -377,20 +377,20 @@ class ActionBuilder:
         key = action if self.keys is None else torch.where(action < 0, action, self.keys[column])
         decision = self.table().decision(column, key, previous)
         for k in self._deciding:
-            part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
+            part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action, acts)
             self._commands[k] = part.command
             decision = _merged(mask, part, decision)
         return decision
 
     def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """Return the commands of the k-th entry, [N]; TypeError unless each is a tensor [N] of the right dtype."""
-        entry, mask = self.entries[k], self._rows_of(k, action)
+        entry, rows = self.entries[k], self._rows_of(k, action, acts)
         index = (action - self._starts[k]).clamp(0, entry.n_actions - 1)
-        decision = entry.decide(index, mask & acts, action, previous)
+        decision = entry.decide(index, rows, action, previous)
         check_decision(type(entry).__name__, decision, len(action))
         if is_of_package(type(entry)):
             return decision
-        title, rows = type(entry).__name__, mask & acts
+        title = type(entry).__name__
         check_modes(f"{title}.decide(...)", decision.mode, rows, self.satellite.simulator.mode_names)
         mode = torch.where(rows, decision.mode, 0)
         return checked_durations(title, decision._replace(mode=mode), rows, self.satellite)
@@ -399,12 +399,12 @@ class ActionBuilder:
         """Notify entries that their actions, of ``action`` [N], have been commanded in the rows ``acts`` [N] bool."""
         for k in self._beginning:
             commands = decision if decision.command is not None else decision._replace(command=self._commands.get(k))
-            self.entries[k].begin(self._rows_of(k, action) & acts, commands)
+            self.entries[k].begin(self._rows_of(k, action, acts), commands)
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
         """Notify entries that their actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""
         for k in self._ending:
-            self.entries[k].end(self._rows_of(k, action) & ended, decision, event)
+            self.entries[k].end(self._rows_of(k, action, ended), decision, event)
 
     def mask(self) -> Tensor:
         """Return which actions are legal now, [N, n_actions] bool; a view, to be read only."""

@@ -66,9 +66,12 @@ class CandidateAction(Action):
         return place, exists
 
     @staticmethod
-    def keys(place: Tensor) -> Tensor:
-        """Return the keys of actions on places, or the places of keys: other actions have keys from 0 on, -1 is no target."""
-        return -2 - place
+    def keys(place: Tensor, first: int = 0) -> Tensor:
+        """Return the keys of actions on places, or the places of keys: other actions have keys from 0 on, -1 is no target.
+
+        Keys count the first place as number ``first``.
+        """
+        return (-2 - first) - place
 
     def remember(self, mask: Tensor, place: Tensor) -> None:
         """Store the ``place`` [N] where ``mask`` [N] holds as the one chosen last."""

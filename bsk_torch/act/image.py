@@ -127,20 +127,22 @@ class Image(CandidateAction):
     @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         simulator = self.satellite.simulator
-        count = torch.where(mask & (action >= 0), index + 1, 0)
+        by_index = mask & (action < 0) if self.by_index else None
+        count = (index + 1) * (mask if by_index is None else mask & ~by_index)
         windows = self.satellite.find_next_opportunities(self.n_actions, self.kind, count)
-        target = windows.place.gather(1, index.unsqueeze(-1)).squeeze(-1)
-        same = windows.place == target.unsqueeze(-1)  # the target's first window may come before the chosen one
-        opens, close = (torch.where(same, time, torch.inf).amin(1) for time in (windows.open, windows.close))
-        by_index = mask & (action < 0)
-        if self.by_index and bool(by_index.any()):
+        chosen = windows.place.gather(1, index.unsqueeze(-1))
+        target, others = chosen.squeeze(-1), windows.place != chosen
+        # the target's first window may come before the chosen one
+        opens, close = (time.masked_fill(others, torch.inf).amin(1) for time in (windows.open, windows.close))
+        waits = windows.found == 0
+        if by_index is not None and bool(by_index.any()):
             target = torch.where(by_index, -1 - action, target)
             window = self.satellite.window_of(torch.where(by_index, target, 0), self.kind)
             why = "which has already been imaged, does not exist, or has no known window"
             self.refuse(by_index & torch.isinf(window[1]), target, lambda number: why)
             opens, close = (torch.where(by_index, *pair) for pair in zip(window, (opens, close), strict=True))
-        waits = (windows.found == 0) & ~by_index
-        key, time = torch.where(waits, NO_TARGET, self.keys(target + self._first)), simulator.sim_time
+            waits = waits & ~by_index
+        key, time = torch.where(waits, NO_TARGET, self.keys(target, self._first)), simulator.sim_time
         seconds = torch.where(waits, self.satellite.segment, close - time)
         duration = torch.clamp(seconds, max=self.max_duration)
         expected = torch.minimum(torch.clamp(opens - time, min=SLEW), duration)
@@ -154,7 +156,7 @@ class Image(CandidateAction):
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: set instrument and target of the pointing guidance, and arm the event of a growing store."""
-        simulator, target = self.satellite.simulator, self.keys(decision.key) - self._first  # keys() is its own inverse
+        simulator, target = self.satellite.simulator, self.keys(decision.key, self._first)  # keys() is its own inverse
         mask = mask & (decision.key != NO_TARGET)
         if self._number is not None:
             choose_instrument(self.satellite, self._number, mask)

@@ -43,7 +43,7 @@ class ImageRequest(Image):
         simulator = self.satellite.simulator
         seconds = self.satellite.request_values(DURATION, offered.place)
         # the part of a look that is over already
-        current = self.satellite.task.previous_action.unsqueeze(1) == self.keys(offered.place + self._first)
+        current = self.satellite.task.previous_action.unsqueeze(1) == self.keys(offered.place, self._first)
         done = (simulator.state.read("look_ticks").unsqueeze(1) - 1.0).clamp(min=0.0) * simulator.h
         remaining = torch.where(current, seconds - done, seconds)
         time = torch.maximum(offered.open, simulator.sim_time.unsqueeze(1))
@@ -54,7 +54,7 @@ class ImageRequest(Image):
     @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         chosen = super().decide(index, mask, action, previous)
-        place = torch.where(chosen.key == NO_TARGET, 0, self.keys(chosen.key) - self._first)  # keys() is its own inverse
+        place = torch.where(chosen.key == NO_TARGET, 0, self.keys(chosen.key, self._first))  # keys() is its own inverse
         seconds = self.satellite.request_values(DURATION, place.unsqueeze(1)).squeeze(1)
         # the image of a look that is complete as the window closes is recorded in the next tick
         duration = (chosen.duration + self.satellite.simulator.h).clamp(max=self.max_duration)
@@ -64,7 +64,7 @@ class ImageRequest(Image):
         """See :meth:`Image.begin`; set the limits of the request, too."""
         super().begin(mask, decision)
         simulator, mask = self.satellite.simulator, mask & (decision.key != NO_TARGET)
-        place = torch.where(mask, self.keys(decision.key) - self._first, 0).unsqueeze(1)
+        place = torch.where(mask, self.keys(decision.key, self._first), 0).unsqueeze(1)
         release, due, seconds, elevation, off_nadir = (
             self.satellite.request_values(name, place).squeeze(1)
             for name in (RELEASE, DUE, DURATION, MIN_ELEVATION, MAX_OFF_NADIR)

@@ -52,6 +52,14 @@ def _in_order(n: int, padding: int) -> Tensor:
         return torch.constant_pad_nd(torch.arange(n), (0, padding), 0)
 
 
+@lru_cache(maxsize=32)
+def _owners(groups: int, group: int, width: int) -> Tensor:
+    """Return the groups of the rows of one block, [1, width]; kernels only read them."""
+    with torch.inference_mode(False):
+        owners = torch.arange(groups).repeat_interleave(group)
+        return torch.constant_pad_nd(owners, (0, width - len(owners)), groups).unsqueeze(0)
+
+
 class Tiles(NamedTuple):
     """Rows in tiles of blocks: ``rows`` and the group of each, [tiles, lanes]; ``ends`` [groups + 1] are ticks of the groups.
 
@@ -91,6 +99,10 @@ def in_tiles(
         present: Rows that run, [n] (default: all).
     """
     groups = len(counts) // group
+    ends = torch.cat([counts[::group], counts.new_zeros(1)])
+    if 0 < len(counts) <= width and present is None:  # one block
+        rows = _in_order(len(counts), width - len(counts)).unsqueeze(0)
+        return Tiles(rows, _owners(groups, group, width), ends, (1, 1))
     # a tile has as few groups as fill its blocks, or a multiple of them; tiles larger than a cache are slower
     least = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
     each = max(1, min(groups, least * max(1, min(BLOCKS * width // (least * group), groups // (least * TILES)))))
@@ -108,7 +120,6 @@ def in_tiles(
         rows, owners = rows.gather(1, alike), owners.gather(1, alike)
     padding = 0, -shape[1] % width
     rows, owners = torch.constant_pad_nd(rows, padding, 0), torch.constant_pad_nd(owners, padding, groups)
-    ends = torch.cat([counts[::group], counts.new_zeros(1)])
     return Tiles(rows, owners, ends, (shape[0], rows.shape[1] // width))
 
 

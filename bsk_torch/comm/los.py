@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.comm.base import CommunicationMethod, MultiDegreeCommunication
+from bsk_torch.constants import NANO
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.links.line_of_sight import speed_bound
 from bsk_torch.sim.access.links.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
-from bsk_torch.sim.access.links.sight_kernel import PAIRS_AT_ONCE, sensors_see
+from bsk_torch.sim.access.links.sight_kernel import PAIRS_AT_ONCE, ordered_pairs, sensors_see
 from bsk_torch.sim.dyn import LOSCommDynModel
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.vec3 import Vec3
@@ -66,39 +69,43 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
         directed: Whether the result is that of each sensor, [N, sensor, other], or that of either sensor of a pair.
     """
     pairs = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
-    moved = asked & (fleet.ticks > fleet.since)
-    envs = torch.nonzero(moved).squeeze(-1)
-    if fleet.size < 2 or not len(envs):
+    ticks = fleet.ticks
+    counts = (ticks - fleet.since).clamp(min=0) * asked
+    if fleet.size < 2:
         return pairs
-    _check_covered(fleet, asked)
-    span = fleet.since, torch.maximum(fleet.ticks - 1, fleet.since)
+    some, lost = torch.stack([counts.any(), _lost(fleet, asked)]).tolist()
+    if not some:
+        return pairs
+    _check(lost)
     if len(fleet.simulators) == 1 and _by_kernels(fleet.simulators[0]):
-        pairs = _sights_by_kernel(fleet, moved, span)
+        pairs = _sights_by_kernel(fleet, counts)
         return pairs if directed else pairs | pairs.mT
-    search = make_search(fleet, *span)
-    for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
+    search = make_search(fleet, fleet.since, torch.maximum(ticks - 1, fleet.since))
+    for some in torch.nonzero(counts).squeeze(-1).split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
         pairs[some] = search.visible_pairs(some, directed)
     return pairs
 
 
-def _sights_by_kernel(fleet: SatelliteFleet, moved: Tensor, span: tuple[Tensor, Tensor]) -> Tensor:
-    """Return which sensors of satellites of one type see which others in a ``span`` of the episodes ``moved`` [N], [N, S, S]."""
-    simulator, s = fleet.simulators[0], fleet.size
-    pairs = moved.view(-1, 1, 1) & ~torch.eye(s, dtype=torch.bool)
-    if fleet.present is not None:
-        pairs = pairs & fleet.present.unsqueeze(1) & fleet.present.unsqueeze(2)
-    orbits = torch.cat([simulator.read("r_BN_N"), simulator.read("v_BN_N")], 1)
-    for part in torch.nonzero(pairs).split(PAIRS_AT_ONCE):
-        env, i, j = part.unbind(1)
-        rows, ticks = (env * s + i, env * s + j), (span[0][env], span[1][env])
-        reach = simulator.state.arguments[MAX_RANGE]
-        pairs[env, i, j] = sensors_see(simulator.arcs, rows, orbits, reach, ticks, simulator.h_ns)
-    return pairs
+def _sights_by_kernel(fleet: SatelliteFleet, counts: Tensor) -> Tensor:
+    """Return which sensors of satellites of one type see which others in the last ``counts`` [N] ticks, [N, S, S]."""
+    simulator, n, s = fleet.simulators[0], fleet.num_envs, fleet.size
+    state, first = simulator.state, fleet.since.double()
+    span = torch.stack([first * simulator.h_ns * NANO, first, torch.zeros_like(first), first + (counts - 1)])
+    orbits = torch.cat([state.planes[state.layout.slices[name]] for name in ("r_BN_N", "v_BN_N")])
+    seen, at_once = [], max(1, PAIRS_AT_ONCE // s**2)
+    for start in range(0, n, at_once):
+        pairs = ordered_pairs(min(at_once, n - start), s)
+        pairs = pairs.after(start, s) if start else pairs
+        ticks = counts[pairs.env] * pairs.apart
+        if (present := simulator.present) is not None:
+            ticks = ticks * (present[pairs.i] & present[pairs.j])
+        seen.append(sensors_see(simulator.arcs, pairs, orbits, state.arguments[MAX_RANGE], span, ticks, simulator.h_ns))
+    return torch.cat(seen).view(n, s, s)
 
 
 def sights(fleet: SatelliteFleet, first: int) -> Tensor:
     """Return the lines of sight at ticks from ``first`` to now, in this step of the first episode, [T, sensor, other] bool."""
-    _check_covered(fleet, torch.ones(fleet.num_envs, dtype=torch.bool, device=fleet.device))
+    _check(bool(_lost(fleet, torch.ones(fleet.num_envs, dtype=torch.bool, device=fleet.device))))
     search = make_search(fleet, fleet.since, fleet.ticks)
     ticks = torch.arange(first, int(fleet.ticks[0]) + 1, device=fleet.device)
     return search.all_margins(torch.zeros_like(ticks), ticks) > 0.0
@@ -121,11 +128,18 @@ def _by_kernels(simulator: Simulator) -> bool:
     return simulator.lookahead.eclipses.visibility.kernels
 
 
-def _check_covered(fleet: SatelliteFleet, asked: Tensor) -> None:
+def _lost(fleet: SatelliteFleet, asked: Tensor) -> Tensor:
+    """Return whether arcs no longer cover the start of the step in an episode of ``asked`` [N], []."""
     begin = torch.where(asked, (fleet.since - 1).clamp(min=0).double() * fleet.h, torch.inf)
+    lost = []
     for simulator in fleet.simulators:
-        arcs = simulator.arcs
-        # one tick before a maneuver, the backward continuation of the new orbit is off by the velocity change times a tick
-        earlier = (arcs.start == arcs.begun) * (1.5 * simulator.h) if arcs.restarts else 0.0
-        if bool((simulator.of_env(begin) < arcs.start - earlier).any()):
-            raise RuntimeError("arcs have advanced and no longer cover the start of the step: search before looking ahead")
+        start = simulator.arcs.start
+        if simulator.arcs.restarts:  # the backward continuation of a new orbit is off by its velocity change times a tick
+            start = start - (start == simulator.arcs.begun) * (1.5 * simulator.h)
+        lost.append((simulator.of_env(begin) < start).any())
+    return functools.reduce(torch.logical_or, lost)
+
+
+def _check(lost: bool) -> None:
+    if lost:
+        raise RuntimeError("arcs have advanced and no longer cover the start of the step: search before looking ahead")

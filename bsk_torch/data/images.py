@@ -189,8 +189,14 @@ class UniqueImageReward(ImageReward):
             self.memory["known_images"] = spread(self.known, links)
 
 
+FEW = 1 << 16
+"""Numbers of the knowledge of all satellites up to which all of them are spread, not only those of disputed targets."""
+
+
 def spread(knowledge: Tensor, links: Tensor) -> Tensor:
     """Return what satellites know, [N, S, T] bool, after it has spread along ``links`` [N, S, S] by sender and receiver."""
+    if knowledge.numel() <= FEW or knowledge.device.type != "cpu":  # whose number of disputed targets takes longer to read
+        return knowledge | (torch.bmm(links.mT.float(), knowledge.float()) > 0.5)
     numbers = knowledge.view(torch.uint8)  # forty times as fast as any() and all() of masks
     disputed = numbers.amax(1) != numbers.amin(1)
     most = int(disputed.sum(1).max())

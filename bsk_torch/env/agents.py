@@ -30,6 +30,7 @@ class Group:
     types: tuple[int, ...]  # type of each of the M members
     within: tuple[Tensor, ...]  # indices of the members within their types, M tensors [A]
     whole: tuple[bool, ...]  # for each of the M members, whether they are all satellites of their type, in order
+    alone: bool  # whether the agents are all satellites of an episode, in order, one each
 
     def to(self, device: torch.device) -> Group:
         """Return the group with its tensors on a device."""
@@ -39,6 +40,10 @@ class Group:
     def is_meta(self) -> bool:
         """Whether each agent commands several satellites."""
         return len(self.types) > 1
+
+    def of_members(self, table: Tensor) -> Tensor:
+        """Return values [N, S] of the satellites for the members of each agent, [N, A, M]."""
+        return table.unsqueeze(-1) if self.alone else table[:, self.members]
 
 
 def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
@@ -95,7 +100,8 @@ def make_groups(
         within = tuple(torch.tensor([row[m][1] for row in table]) for m in range(members.shape[1]))
         kind = signature[chosen[0]]
         whole = tuple(index.tolist() == list(range(len(types[t]))) for t, index in zip(kind, within, strict=True))
-        groups.append(Group(name, tuple(chosen), members, kind, within, whole))
+        alone = members.tolist() == [[k] for k in range(len(names))]
+        groups.append(Group(name, tuple(chosen), members, kind, within, whole, alone))
     return groups
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -27,6 +27,15 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 
 logger = logging.getLogger(__name__)
+
+
+class Command(NamedTuple):
+    """Actions of one member of each agent of a group."""
+
+    within: Tensor  # indices of the members within their type, [A]
+    whole: bool  # whether they are all satellites of their type, in order
+    chosen: Tensor  # their actions, [N, A, ...]
+    new: Tensor  # whether these are new tasks, [N, A]
 
 
 @takes(ConstellationOptions)
@@ -216,20 +225,22 @@ class ConstellationTasking(Tasking):
 
     def _by_agent(self, group: Group, flags: Tensor) -> Tensor:
         """Return the agents [N, A] with at least one member whose flag [N, S] is set."""
-        return flags[:, group.members].any(-1)
+        return flags if group.alone else flags[:, group.members].any(-1)
 
     def _remove(self, duration: Tensor) -> None:
         """Remove the agents that have lost a satellite; their tasks no longer end steps.
 
         Under ``compat``, agents that die in a step of zero ``duration`` [N] s stay for another step.
         """
-        dead, removed = self.dead, self.state.removed.clone()
+        dead, removed = self.dead, self.state.removed
         if self.simulator.type.compat:
             dead = dead & (duration > 0.0).unsqueeze(1)
         for group in self.groups:
+            if group.alone:
+                removed = removed | dead
+                continue
             gone = self._by_agent(group, dead).unsqueeze(-1).expand(-1, *group.members.shape)
-            members = group.members.flatten()
-            removed[:, members] = removed[:, members] | gone.flatten(1)
+            removed = removed.index_copy(1, group.members.flatten(), (group.of_members(removed) | gone).flatten(1))
         leaving = removed & ~self.state.removed
         if not bool(leaving.any()):  # values read from the satellites at this time stay valid
             return
@@ -240,13 +251,13 @@ class ConstellationTasking(Tasking):
     def _decoded(self, commands: Sequence[object], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return the actions [N * count, ...] of each type, and masks of the actions that take effect."""
         idle = self.requires_retasking
-        members: list[list[tuple[Tensor, Tensor, Tensor]]] = [[] for _ in self.satellites]
+        members: list[list[Command]] = [[] for _ in self.satellites]
         for group, action in zip(self.groups, commands, strict=True):
             for m, (t, within, chosen) in enumerate(zip(group.types, group.within, self._checked(group, action), strict=True)):
                 counts = acts(chosen, self.satellites[t], 1)
                 if self.options.only_retask_idle_meta_agent_members and group.is_meta:
                     counts = counts & idle[:, group.members[:, m]]
-                members[t].append((within, chosen, counts))
+                members[t].append(Command(within, group.whole[m], chosen, counts))
         present = moves.unsqueeze(-1) & ~self.state.removed
         checked, rows = [], []
         for k, (satellites, parts) in enumerate(zip(self.satellites, members, strict=True)):
@@ -262,13 +273,15 @@ class ConstellationTasking(Tasking):
         task = satellites.task
         return acts & ((decision.key != task.previous_action) | task.requires_retasking)
 
-    def _of_type(self, k: int, parts: Sequence[tuple[Tensor, Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+    def _of_type(self, k: int, parts: Sequence[Command]) -> tuple[Tensor, Tensor]:
         """Return the actions [N, count, ...] of a type, and which of them are new tasks, from the actions of its satellites."""
-        n, count, first = self.fleet.num_envs, self.fleet.simulators[k].count, parts[0][1]
-        dtype = functools.reduce(torch.promote_types, [chosen.dtype for _, chosen, _ in parts])
+        if parts[0].whole:
+            return parts[0].chosen, parts[0].new
+        n, count, first = self.fleet.num_envs, self.fleet.simulators[k].count, parts[0].chosen
+        dtype = functools.reduce(torch.promote_types, [part.chosen.dtype for part in parts])
         action = torch.zeros(n, count, *first.shape[2:], dtype=dtype, device=self.device)
         counts = torch.zeros(n, count, dtype=torch.bool, device=self.device)
-        for within, chosen, new in parts:
+        for within, _, chosen, new in parts:
             action[:, within], counts[:, within] = chosen.to(dtype), new
         return action, counts
 
@@ -325,7 +338,7 @@ class ConstellationTasking(Tasking):
                 continue
             leaves["duration"] = duration.unsqueeze(1).expand(-1, len(group.agents), 1)
             if result is not None:
-                leaves["reward"] = result.reward[:, group.members].sum(-1, keepdim=True).to(self.dtype)
+                leaves["reward"] = group.of_members(result.reward).sum(-1, keepdim=True).to(self.dtype)
             outputs[group.name] = TensorDict(leaves, (*self.batch_size, len(group.agents)), device=self.device)
         if counts := self.counts():
             outputs["counts"] = TensorDict(counts, self.batch_size, device=self.device)
@@ -334,8 +347,8 @@ class ConstellationTasking(Tasking):
     def _group_outputs(self, group: Group, observations: list[Any], legal: list[Tensor], removed: Tensor) -> dict[str, Any]:
         """Return the outputs of the agents of a group by name, [N, A, ...] each."""
         idle = self.requires_retasking
-        wanted = (idle & ~self.state.removed)[:, group.members]
-        observation = self._observation(group, observations, self._hidden(group, idle[:, group.members], removed))
+        wanted = group.of_members(idle & ~self.state.removed)
+        observation = self._observation(group, observations, self._hidden(group, group.of_members(idle), removed))
         masks = []
         for m, (t, within, size) in enumerate(zip(group.types, group.within, self._sizes(group), strict=True)):
             if not size:
@@ -345,7 +358,7 @@ class ConstellationTasking(Tasking):
             may = free if self.options.mask_busy else ~self.state.removed[:, group.members[:, m : m + 1]]
             masks.append(torch.cat([mask & may.expand(mask.shape).contiguous(), ~free], -1))  # five times as fast as broadcasts
         leaves: dict[str, object] = {"observation": observation, **({"action_mask": torch.cat(masks, -1)} if masks else {})}
-        leaves["requires_retasking"] = wanted.any(-1, keepdim=True)
+        leaves["requires_retasking"] = wanted.any(-1, keepdim=True) if group.is_meta else wanted
         if group.is_meta or self.joint:
             leaves["members_require_retasking"] = wanted
         if not self.joint:
@@ -355,9 +368,9 @@ class ConstellationTasking(Tasking):
     def _hidden(self, group: Group, wanted: Tensor, removed: Tensor) -> Tensor:
         """Return the members that are not observed, [N, A, M]; ``wanted`` [N, A, M] need a task, or died without one."""
         if self.joint:
-            absent = torch.zeros_like(wanted) if self.fleet.present is None else ~self.fleet.present[:, group.members]
+            absent = torch.zeros_like(wanted) if self.fleet.present is None else ~group.of_members(self.fleet.present)
             return absent | ~wanted if self.options.generate_obs_retasking_only else absent
-        hidden = removed[:, group.members]
+        hidden = group.of_members(removed)
         return hidden | ~wanted.any(-1, keepdim=True) if self.options.generate_obs_retasking_only else hidden
 
     def _members(self, rows: Tensor, within: Tensor, whole: bool) -> Tensor:
@@ -378,7 +391,7 @@ class ConstellationTasking(Tasking):
 
 def _blank(leaf: Tensor, hidden: Tensor) -> Tensor:
     """Return the leaf [N, A, ...] with zeros where ``hidden`` [N, A] is true."""
-    return torch.where(hidden.view(*hidden.shape, *[1] * (leaf.ndim - 2)), torch.zeros_like(leaf), leaf)
+    return leaf.masked_fill(hidden.view(*hidden.shape, *[1] * (leaf.ndim - 2)), 0)
 
 
 @takes(ConstellationOptions)

@@ -74,9 +74,13 @@ class CandidateObservation(Observation):
 
     @override
     def get_vector(self) -> Tensor:
+        rows, exists = self.side_by_side()
+        return rows.flatten(1) if exists is None else torch.cat([rows.flatten(1), exists.to(rows.dtype)], -1)
+
+    def side_by_side(self) -> tuple[Tensor, Tensor | None]:
+        """Return the properties of the candidates, [N, n, features], and for a set which candidates exist, [N, n]."""
         columns, exists = self.columns()
-        rows = joined(columns).flatten(1)
-        return torch.cat([rows, exists.to(rows.dtype)], -1) if self.as_set else rows
+        return joined(columns), exists if self.as_set else None
 
 
 class CandidateProperties(CandidateObservation):

@@ -13,6 +13,7 @@ from bsk_torch._checks import text
 from bsk_torch.astro.ephemeris import earth_fixed_sun
 from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.astro.geodetic import vertical_of
+from bsk_torch.obs.base import joined
 from bsk_torch.obs.candidates import CandidateObservation
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.obs.requests import REQUEST_PRESETS
@@ -194,6 +195,23 @@ class OpportunityProperties(CandidateObservation):
 
     @override
     def columns(self) -> tuple[dict[str, Tensor], Tensor]:
+        columns, opportunities = self._read()
+        if getattr(self.satellite, "may_see_nothing", False):
+            nothing = (opportunities.found == 0).unsqueeze(-1)
+            for name, column in columns.items():
+                columns[name] = column.masked_fill(nothing if column.ndim == 2 else nothing.unsqueeze(-1), 0)
+        return columns, opportunities.mask
+
+    @override
+    def side_by_side(self) -> tuple[Tensor, Tensor | None]:
+        columns, opportunities = self._read()
+        rows = joined(columns)
+        if getattr(self.satellite, "may_see_nothing", False):
+            rows = rows.masked_fill((opportunities.found == 0).view(-1, 1, 1), 0)
+        return rows, opportunities.mask if self.as_set else None
+
+    def _read(self) -> tuple[dict[str, Tensor], Opportunities]:
+        """Return the properties of the opportunities, those of none included, by name, and the opportunities."""
         opportunities = self.satellite.find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry, function in zip(self.entries, self._functions, strict=True):
@@ -205,11 +223,7 @@ class OpportunityProperties(CandidateObservation):
                 call = functools.partial(entry["fn"], self.satellite, opportunities)
                 column = function(tuple(opportunities.open.shape), self.simulator.device, call)
             columns[entry["name"]] = scaled(column, entry["norm"])
-        if getattr(self.satellite, "may_see_nothing", False):
-            nothing = (opportunities.found == 0).unsqueeze(-1)
-            for name, column in columns.items():
-                columns[name] = column.masked_fill(nothing if column.ndim == 2 else nothing.unsqueeze(-1), 0)
-        return columns, opportunities.mask
+        return columns, opportunities
 
 
 def type_of(model: object) -> type:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import functools
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, cached_property
 from typing import Any, TypeAlias, TypeVar
@@ -270,8 +272,8 @@ class BoundSatellite(Satellite):
 
     @property
     def removed(self) -> Tensor | None:
-        """Satellites that are absent or have left, [N], for which queries return nothing; None if there can be none."""
-        return self.rows_of(self.fleet.state.removed) if self.fleet.size > 1 else None
+        """Satellites that are absent or have left, [N], for which queries return nothing; None if there are none."""
+        return self.rows_of(self.fleet.state.removed) if self.fleet.state.some_removed else None
 
     @property
     def present(self) -> Tensor:
@@ -326,10 +328,10 @@ class BoundSatellite(Satellite):
 
     def is_alive(self) -> Tensor:
         """Return whether every aliveness check holds now, [N]."""
-        alive = torch.ones_like(self.simulator.state.ticks, dtype=torch.bool)
-        for check in self.aliveness().values():
-            alive = alive & check
-        return alive
+        checks = self.aliveness().values()
+        if not checks:
+            return torch.ones_like(self.simulator.state.ticks, dtype=torch.bool)
+        return functools.reduce(operator.and_, checks)
 
 
 Satellite.bound_type = BoundSatellite

@@ -19,6 +19,7 @@ from bsk_torch.sim.access.windows.table import Windows, candidates
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.dyn.axes import unit_rows
 from bsk_torch.sim.places import TARGET_KIND, is_target
+from bsk_torch.sim.readout.observables import Function, observable
 
 
 class BoundAccessSatellite(BoundSatellite, AccessSatellite):
@@ -38,6 +39,10 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
         models = self.dynamics, self.fsw
         self._geometry = [[model for model in models if hasattr(type(model), name)][:1] for name in SATELLITE_PROPERTIES]
+        pairs = zip(self._geometry, SATELLITE_PROPERTIES, strict=True)
+        members = [getattr(type(owner), name) for owners, name in pairs for owner in owners]
+        observed = tuple(member.function for member in members if isinstance(member, observable))
+        self._observed_geometry: tuple[Function, ...] = observed if len(observed) == len(SATELLITE_PROPERTIES) else ()
         self._aims: tuple[Opportunities, tuple[int, int | None], Tensor] | None = None
 
     @property
@@ -114,10 +119,9 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         entry = self._cache.get((kind, n)) if plain else None
         if entry is not None and entry[0] == now and (count is None or entry[2] or bool((entry[1].found >= count).all())):
             return entry[1] if pad else self._complete(entry[1])
-        wanted = count
-        if self.removed is not None:
-            wanted = torch.where(self.removed, 0, n if count is None else count)
-        simulator = self.simulator
+        wanted, simulator = count, self.simulator
+        if (removed := self.removed) is not None:
+            wanted = torch.where(removed, 0, n if count is None else count)
         windows, counts = simulator.lookahead.next_windows(
             kind,
             simulator.state.sim_time,
@@ -127,13 +131,14 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             self._last_generation(max_lookahead),
             may_see_nothing,
         )
-        if may_see_nothing:  # then place 0 opens and closes now
-            some, instant = (counts > 0).unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
-            opens, close = torch.where(some, windows.open, instant), torch.where(some, windows.close, instant)
-            windows = Windows(opens, close, torch.where(some, windows.place, 0))
+        complete = wanted is None and simulator.lookahead.all_offered
+        if may_see_nothing and not complete:  # then place 0 opens and closes now
+            none, instant = (counts == 0).unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
+            opens, close = torch.where(none, instant, windows.open), torch.where(none, instant, windows.close)
+            windows = Windows(opens, close, windows.place.masked_fill(none, 0))
         opportunities = Opportunities(*windows, self.positions(kind, windows.place), counts).of(self, kind)
         if count is None and plain and may_see_nothing == self.may_see_nothing:
-            self._cache[(kind, n)] = now, opportunities, wanted is None and simulator.lookahead.all_offered
+            self._cache[(kind, n)] = now, opportunities, complete
         return opportunities if pad else self._complete(opportunities)
 
     def _accepted(self, filter: object, kind: str) -> Tensor:
@@ -210,14 +215,16 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         """
         observer, asked = self.simulator.observer, (self.simulator.state.version, instrument)
         if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != asked:
-            satellite: tuple[Tensor, ...] = ()
-            for owners, name in zip(self._geometry, SATELLITE_PROPERTIES, strict=True):
-                satellite += (getattr(owners[0], name) if owners else torch.zeros_like(self.dynamics.r_BN_P),)
+            satellite = observer.read_together(self._observed_geometry)
+            if satellite is None:
+                none = torch.zeros_like(self.dynamics.r_BN_P)
+                pairs = zip(self._geometry, SATELLITE_PROPERTIES, strict=True)
+                satellite = torch.cat([getattr(owners[0], name) if owners else none for owners, name in pairs], 1)
             if instrument is not None:
                 k, listed = SATELLITE_PROPERTIES.index("c_hat_P"), self.simulator.type.instruments
                 name = listed[instrument].argument("inst_pHat_B")
                 c_hat_P = self.dynamics.BP.mT @ unit_rows(self.simulator.argument(name)).unsqueeze(-1)
-                satellite = (*satellite[:k], c_hat_P.squeeze(-1), *satellite[k + 1 :])
+                satellite = torch.cat([satellite[:, : 3 * k], c_hat_P.squeeze(-1), satellite[:, 3 * k + 3 :]], 1)
             geometry = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
             self._aims = opportunities, asked, geometry
         return self._aims[2]

@@ -43,6 +43,14 @@ class FleetState(StateTable):
         super().__init__(num_envs, 1, device)
         self.declare("time_limit", 0.0, low=0.0)
         self.declare("removed", False, size)
+        self._some_removed: tuple[Tensor, bool] | None = None
+
+    @property
+    def some_removed(self) -> bool:
+        """Whether there are satellites that have been removed."""
+        if self._some_removed is None or self._some_removed[0] is not self.removed:
+            self.__dict__["_some_removed"] = self.removed, bool(self.removed.any())
+        return self._some_removed[1]
 
     def check_relations(self, path: str) -> None:
         """See :meth:`StateTable.check_relations`: the clocks of an episode's satellites agree."""

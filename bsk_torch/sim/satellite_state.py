@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -59,6 +60,13 @@ class Clock(NamedTuple):
     ticks: Tensor
     time: Tensor
     versions: tuple[int, int]
+
+
+@functools.lru_cache(maxsize=32)
+def _owners(episodes: int, count: int, device: torch.device) -> Tensor:
+    """Return the episode of every row, [episodes * count]; it is only read."""
+    with torch.inference_mode(False):
+        return torch.arange(episodes, device=device).repeat_interleave(count)
 
 
 class SatelliteState(StateTable):
@@ -165,7 +173,8 @@ class SatelliteState(StateTable):
             description = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             wanted = [self.rows] if width == 1 else [self.rows, width]
             raise ValueError(f"value of write({name!r}, rows, value) is {description}; it must be a tensor of shape {wanted}")
-        self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
+        planes = self.planes[where]
+        torch.where(rows, value if value.ndim == 1 else value.reshape(self.rows, -1).mT, planes, out=planes)
         self.touch()
 
     def check_relations(self, path: str) -> None:
@@ -215,7 +224,7 @@ class SatelliteState(StateTable):
 
     def of_env(self, table: Tensor) -> Tensor:
         """Return values [N, ...] of the episodes for each of their satellites, [rows, ...]."""
-        return table if self.count == 1 else table.repeat_interleave(self.count, 0)
+        return table if self.count == 1 else table.index_select(0, _owners(len(table), self.count, self.device))
 
     def look_up(self, table: Tensor, place: Tensor) -> Tensor:
         """Return entries [rows, n, ...] of a table [N, P, ...] of the episodes for places [rows, n]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -600,5 +601,5 @@ class Simulator:
         """Return the number of events since reset that end an action, of ``rows`` [n], or of all."""
         if not self.has_events:
             return torch.zeros_like(self.state.sim_time if rows is None else self.state.sim_time[rows])
-        number = torch.stack([self.state.read(name) for name in self._endings]).sum(0)
+        number = functools.reduce(torch.add, [self.state.read(name) for name in self._endings])
         return number if rows is None else number[rows]

@@ -64,7 +64,7 @@ CASES: dict[str, tuple[str, int, dict[str, Any], int]] = {
     "4": ("NadirScan-v1", 4, {}, 4),
     "64": ("NadirScan-v1", 64, {}, 4),
     "AEOS-v1": ("AEOS-v1", 3, {"n_targets": 600}, 3),
-    "Constellation-v1": ("Constellation-v1", 3, {**THREE, "n_targets": 300}, 11),
+    "Constellation-v1": ("Constellation-v1", 3, {**THREE, "n_targets": 300}, 8),
     "CWDocking-v1": ("CWDocking-v1", 3, {}, 4),
 }
 """Preset, environments, options, and how often the host waits for the device in a step that needs no further orbits or windows.

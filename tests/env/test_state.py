@@ -49,6 +49,7 @@ DERIVED = {
     "_options": "transfers to waypoints from the present position",
     "_aims": "geometry of the present decision",
     "_clock": "seconds of the ticks",
+    "_some_removed": "whether satellites have been removed",
     "_argument_planes": "arguments as kernels read them",
     "_table": "fixed commands of actions",
     "_all_legal": "a constant",

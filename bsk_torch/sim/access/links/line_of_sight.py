@@ -46,13 +46,11 @@ class SatellitePositions(NamedTuple):
         return SatellitePositions(*map(functools.partial(select, condition), self, other))
 
 
-def visibility_margin(one: SatellitePositions, other: SatellitePositions, max_range: Tensor | None) -> Tensor:
-    """Return a margin, m, that is positive if ``other`` is visible from ``one``, whose sensor has a range, m, or no limit.
+def visibility_margin(one: SatellitePositions, other: SatellitePositions, max_range: Tensor) -> Tensor:
+    """Return a margin, m, that is positive if ``other`` is visible from ``one``, whose sensor has a range, m; infinite: no limit.
 
     The margin is ``min(clearance, (max_range - |r_other - r_own|) / 2)``. Both parts change by no more than the larger
     displacement of the two satellites, which is what the search for lines of sight needs.
     """
     clearance = line_clearance(one.stretched, other.stretched)
-    if max_range is None:
-        return clearance
     return torch.minimum(clearance, 0.5 * (max_range - (other.r_BN_N - one.r_BN_N).norm()) + TINY_LENGTH)

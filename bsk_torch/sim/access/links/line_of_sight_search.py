@@ -124,7 +124,7 @@ class LineOfSightSearch:
         numbers = torch.cat([torch.arange(len(part.columns), device=first.device) for part in types])
         self.number_in_type = torch.empty_like(columns).index_copy_(0, columns, numbers)
         max_range = self._by_satellite([part.max_range for part in types])
-        self.max_range = torch.where(max_range > 0.0, max_range, torch.inf) if bool((max_range > 0.0).any()) else None
+        self.max_range = torch.where(max_range > 0.0, max_range, torch.inf)
         self.speed = self._by_satellite([part.max_speed for part in types]) * (POLAR_STRETCH * (h_ns * NANO))
         present = [part.present for part in types if part.present is not None]
         self.present = self._by_satellite(present) if present else None
@@ -185,8 +185,7 @@ class LineOfSightSearch:
         for columns in torch.arange(s, device=envs.device).split(max(1, self.block // (n * s))):
             one = now.map(lambda x, columns=columns: x[..., columns].mT)  # type: ignore[misc]
             other = before.where(columns.unsqueeze(-1) < torch.arange(s, device=envs.device), now)
-            max_range = None if self.max_range is None else self.max_range[envs][:, columns].unsqueeze(-1)
-            rows.append(visibility_margin(one, other, max_range))
+            rows.append(visibility_margin(one, other, self.max_range[envs][:, columns].unsqueeze(-1)))
         return torch.cat(rows, 1)
 
     def pair_margins(self, pairs: SatellitePairs, tick: Tensor) -> Tensor:
@@ -196,7 +195,7 @@ class LineOfSightSearch:
         r_BN_N, pole = self._positions(env.repeat(3), torch.cat([i, j, j]), ticks), self._pole(env, tick)
         thirds = zip(*[x.chunk(3) for x in r_BN_N], strict=True)
         first, second, before = [SatellitePositions.of(Vec3(*part), pole) for part in thirds]
-        max_range = (None, None) if self.max_range is None else (self.max_range[env, i], self.max_range[env, j])
+        max_range = self.max_range[env, i], self.max_range[env, j]
         return torch.maximum(visibility_margin(first, before, max_range[0]), visibility_margin(second, first, max_range[1]))
 
     def view_margins(self, views: SatellitePairs, tick: Tensor) -> Tensor:
@@ -207,7 +206,7 @@ class LineOfSightSearch:
         halves = zip(*(x.chunk(2) for x in r_BN_N), strict=True)
         pole = self._pole(env, tick)
         one, other = (SatellitePositions.of(Vec3(*part), pole) for part in halves)
-        return visibility_margin(one, other, None if self.max_range is None else self.max_range[env, i])
+        return visibility_margin(one, other, self.max_range[env, i])
 
     def visible_pairs(self, envs: Tensor, directed: bool = False) -> Tensor:
         """Return the pairs with a line of sight at any tick of episodes ``envs`` [n]; [n, S, S] booleans.

@@ -50,18 +50,18 @@ def relative_geometry_kernel() -> Kernel:
     return Kernel("aim at targets", builder.loop([], relative_geometry(r, v, c, omega, site), (), "start"))
 
 
-def relative_geometries(satellite: tuple[Tensor, ...], r_LP_P: Tensor, compiled: bool) -> Tensor:
+def relative_geometries(satellite: Tensor, r_LP_P: Tensor, compiled: bool) -> Tensor:
     """Return the :func:`relative_geometry` of every satellite and its places, [N, n, 3] m, [N, n, GEOMETRY_WIDTH].
 
-    ``satellite`` are the properties :data:`SATELLITE_PROPERTIES`, [N, 3] each; the kernel computes the result where
+    ``satellite`` are the properties :data:`SATELLITE_PROPERTIES` side by side, [N, 12]; the kernel computes the result where
     ``compiled``.
     """
     batch = r_LP_P.shape[:2]
     if not compiled:
-        r, v, c, omega = (Vec3.of(vector.unsqueeze(1)) for vector in satellite)
+        r, v, c, omega = (Vec3.of(vector) for vector in satellite.unsqueeze(1).split(3, -1))
         values = relative_geometry(r, v, c, omega, Vec3.of(r_LP_P))
         return torch.stack([value.expand(batch) for value in values], -1)
-    inputs = torch.cat([*[vector.mT.unsqueeze(-1).expand(3, *batch) for vector in satellite], r_LP_P.permute(2, 0, 1)])
+    inputs = torch.cat([satellite.mT.unsqueeze(-1).expand(-1, *batch), r_LP_P.permute(2, 0, 1)]).flatten(1)
     written = r_LP_P.new_empty(batch.numel(), 1, GEOMETRY_WIDTH)
-    relative_geometry_kernel()(inputs.flatten(1)[:1], 1, (), own=inputs.flatten(1), written=written)
+    relative_geometry_kernel()(inputs[:1], 1, (), own=inputs, written=written)
     return written.view(*batch, GEOMETRY_WIDTH)

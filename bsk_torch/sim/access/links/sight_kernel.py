@@ -8,8 +8,8 @@ the earliest, which is the next tick to look at.
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
-from typing import cast
+from functools import cache, lru_cache
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -29,23 +29,54 @@ from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 PAIRS_AT_ONCE = 1 << 18  # pairs whose orbits are gathered at once, 30 MB
 
 
-def sensors_see(
-    arcs: Arcs, pairs: tuple[Tensor, Tensor], orbits: Tensor, max_range: Tensor, span: tuple[Tensor, Tensor], h_ns: int
-) -> Tensor:
-    """Return whether sensors see other satellites, rows ``pairs`` [m] each of arcs, at any tick of a ``span``, [m] booleans.
+class OrderedPairs(NamedTuple):
+    """Pairs of a sensor and another satellite.
 
-    ``orbits`` [N, 6] are present positions, m, and velocities, m/s, of all rows, ``max_range`` [N] m the ranges of their sensors,
-    no limit if not positive, and ``span`` the first and the last tick, [m] each, of ``h_ns`` nanoseconds.
+    Attributes:
+        env: Episode, [m].
+        i: Row of the satellite with the sensor, [m].
+        j: Row of the other one, [m].
+        later: 1.0 where the sensor's satellite comes first in the episode, and sees the other one a tick late, [1, m].
+        apart: False for a satellite and itself, [m].
     """
-    i, j = pairs
-    first, last = (tick.double() for tick in span)
-    state = torch.stack([first * h_ns * NANO, first, torch.zeros_like(first)])
-    scalars = torch.stack([max_range[i], (i < j).double(), last], 1)
-    own = torch.cat([orbits[i], orbits[j], scalars], 1).mT.contiguous()
+
+    env: Tensor
+    i: Tensor
+    j: Tensor
+    later: Tensor
+    apart: Tensor
+
+    def after(self, envs: int, satellites: int) -> OrderedPairs:
+        """Return the same pairs so many episodes later, each with so many ``satellites``."""
+        return self._replace(env=self.env + envs, i=self.i + envs * satellites, j=self.j + envs * satellites)
+
+
+@lru_cache(maxsize=8)
+def ordered_pairs(num_envs: int, satellites: int) -> OrderedPairs:
+    """Return all pairs of ``satellites`` of one type in each episode, [num_envs * satellites * satellites]."""
+    with torch.inference_mode(False):
+        rows = torch.arange(num_envs * satellites).view(num_envs, satellites)
+        i, j = rows.repeat_interleave(satellites, 1).flatten(), rows.repeat(1, satellites).flatten()
+        return OrderedPairs(i // satellites, i, j, (i < j).double().unsqueeze(0), i != j)
+
+
+def sensors_see(
+    arcs: Arcs, pairs: OrderedPairs, orbits: Tensor, max_range: Tensor, span: Tensor, counts: Tensor, h_ns: int
+) -> Tensor:
+    """Return whether sensors see other satellites, by ``pairs`` [m] of rows of arcs, at any tick of a span, [m] booleans.
+
+    ``orbits`` [6, rows] are present positions, m, and velocities, m/s, of all rows, ``max_range`` [rows] m the ranges of their
+    sensors, no limit if not positive. ``span`` [4, N] has the time, s, and the number of the first tick, zero, and the number
+    of the last tick of every episode, and ``counts`` [m] int64 how many of these ticks, of ``h_ns`` nanoseconds, are searched.
+    """
+    i, j = pairs.i, pairs.j
+    of_pairs = span.index_select(1, pairs.env)
+    numbers = max_range[i].unsqueeze(0), pairs.later, of_pairs[3:]
+    own, state = torch.cat([orbits.index_select(1, i), orbits.index_select(1, j), *numbers]), of_pairs[:3]
     lead = arcs.start - LEAD_NODES * NODE_SPACING
     tracks = Samples(arcs.ephemeris, arcs.start, i), Samples(arcs.flown, lead, i), Samples(arcs.flown, lead, j)
     shared = torch.tensor([float(h_ns)], dtype=torch.float64)
-    sight_kernel()(state, span[1] - span[0] + 1, tracks, shared=shared, own=own)
+    sight_kernel()(state, counts, tracks, shared=shared, own=own)
     return state[2] > 0.0
 
 
