@@ -47,6 +47,10 @@ class AgentsVector:
     agents that have left an environment are zero; ``infos[agent]["present"]`` [N] marks the environments in which an agent was
     part of the step. An episode is over when its agents have left, or are all terminated or truncated.
 
+    ``step`` uses no actions of agents that have left. It raises ResetNeeded if no episode is running, or one is over that does
+    not start by itself; KeyError for an unknown agent, ValueError for a wrong number of actions, and TypeError for actions that
+    are not given by agent.
+
     Attributes:
         num_envs: Number of environments N.
         possible_agents: All agents.
@@ -181,14 +185,7 @@ class BatchedAgentsVectorEnv(AgentsVector):
         self._present, self._over, self._started = torch.where(rows.unsqueeze(-1), alive, self._present), self._over & ~rows, True
 
     def step(self, actions: Mapping[Any, Any]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
-        """Carry out the actions [N] of agents, by agent; those of agents that are left out, or have left, are not used.
-
-        Raises:
-            ResetNeeded: If no episode is running, or one is over that does not start by itself.
-            KeyError: For an unknown agent.
-            ValueError: For a wrong number of actions.
-            TypeError: For actions that are not integers, or not given by agent.
-        """
+        """See :class:`AgentsVector`; TypeError for actions that are not integers."""
         self._check_step(actions)
         waiting, before = self._over, self._present
         results = self.core.play(self._tables(actions), ~waiting)

@@ -25,13 +25,12 @@ from bsk_torch.bsk_rl.sats.satellite import Satellite
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.sim.engine import Engine
 from bsk_torch.bsk_rl.sim.models import for_one_episode
-from bsk_torch.bsk_rl.sim.simulator import Simulator
+from bsk_torch.bsk_rl.sim.simulator import Simulator, satellite_named
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, SimFormatter, say
 from bsk_torch.env.no_action import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, SHORTEST_TICK
 from bsk_torch.sim.component import UserArguments
-from bsk_torch.sim.names import nearest
 from bsk_torch.sim.world import WorldModel
 
 __all__ = [
@@ -217,10 +216,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
     def get_satellite(self, name: str) -> Satellite:
         """Return the satellite of a name; ValueError if there is none."""
-        for satellite in self.satellites:
-            if satellite.name == name:
-                return satellite
-        raise ValueError(f"Satellite with name '{name}' not found; {nearest(name, [s.name for s in self.satellites])}")
+        return satellite_named(name, self.satellites)
 
     # -- reset --------------------------------------------------------------------------------------------------------
 

@@ -231,14 +231,7 @@ class AgentsVectorEnv(AgentsVector):
         return {agent: (observations[agent], 0.0, False, False, infos[agent]) for agent in observations}
 
     def step(self, actions: Mapping[Any, Any]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
-        """Carry out the actions [N, ...] of agents, by agent; those of agents that are left out, or have left, are not used.
-
-        Raises:
-            ResetNeeded: If no episode is running, or one is over that does not start by itself.
-            KeyError: For an unknown agent.
-            ValueError: For a wrong number of actions.
-            TypeError: If the actions are not given by agent.
-        """
+        """See :class:`AgentsVector`."""
         self._check_step(actions)
         return self._outputs([
             self._begin(k) if self._over[k] else self._move(k, {agent: each[k] for agent, each in actions.items()})

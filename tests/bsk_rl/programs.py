@@ -12,19 +12,8 @@ STEPS = 12
 
 def load(root: str) -> SimpleNamespace:
     """Return the modules of a package by name."""
-    names = (
-        "act",
-        "comm",
-        "data",
-        "obs",
-        "sats",
-        "scene",
-        "sim.dyn",
-        "sim.fsw",
-        "utils.functional",
-        "utils.orbital",
-        "scene.targets",
-    )
+    names = ["act", "comm", "data", "obs", "sats", "scene", "scene.targets", "sim.dyn", "sim.fsw"]
+    names += ["utils.functional", "utils.orbital"]
     package = importlib.import_module(root)
     found = {name.rpartition(".")[2]: importlib.import_module(f"{root}.{name}") for name in names}
     return SimpleNamespace(root=package, **found)
@@ -476,15 +465,8 @@ def relays(b: Any) -> Any:
 
 
 PROGRAMS = {
-    "events": events,
-    "relays": relays,
-    "scanning": scanning,
-    "imaging": imaging,
-    "constellation": constellation,
-    "extremes": extremes,
-    "horizon": horizon,
-    "mixed": mixed,
-    "spacecraft": spacecraft,
+    program.__name__: program
+    for program in (events, relays, scanning, imaging, constellation, extremes, horizon, mixed, spacecraft)
 }
 """Programs by name."""
 

@@ -111,6 +111,8 @@ def test_other_names_of_one_satellite(env, one):
     assert one.next_eclipse() == tuple(time[2].item() for time in env.satellite.next_eclipse())
     assert (one.simulator.memory["imaged"], one.latest_target) == (0, None)
     assert one.dynamics.storageUnit.storageUnitDataOutMsg.read().storedDataName == ["image_buffer"]
+    assert one.dynamics.instrument.nodeBaudRate == one.sat_args["instrumentBaudRate"] == one.dynamics.instrument_baud
+    assert one.dynamics.scObject.scStateOutMsg.read().r_BN_N.tolist() == one.dynamics.r_BN_N.tolist()
     check_refusals(
         [
             refusal(lambda: setattr(one, "fuel", 1.0), AttributeError, "'fuel'", "read-only", "vectorize='episodes'"),

@@ -1,6 +1,9 @@
-"""Small constellations: actions of a few seconds, episodes of 15 s, and charges that say who dies when."""
+"""Small constellations: actions of a few seconds, episodes of 15 s, and charges that say who dies when; and checks of views."""
+
+import warnings
 
 import torch
+from gymnasium.utils.env_checker import check_env, data_equivalence
 
 from bsk_torch import ConstellationTasking, act, data, obs, sats, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
@@ -40,3 +43,15 @@ def mixed(*, charges=(FULL,) * 3, obs_type=torch.Tensor, rewarder=None, **option
 def crew(*, charges=(FULL,) * 3, **options):
     """One agent commands the first and the last satellite."""
     return mixed(charges=charges, **({"meta_agent_groupings": {"Pair": ["S2", "S1"]}} | options))
+
+
+def same(left, right):
+    return data_equivalence(left, right, exact=True)
+
+
+def check_accepted(env):
+    """Gymnasium's checker warns of nothing but spaces without bounds."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env)
+    assert all("infinity" in str(warning.message) for warning in caught), [str(w.message) for w in caught]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils import parallel_to_aec
 from torchrl.envs import PettingZooWrapper, check_env_specs
@@ -16,7 +15,7 @@ from bsk_torch import NO_ACTION, data
 from bsk_torch.wrappers.pettingzoo import PettingZooEnv, parallel_env
 from tests.support.refusals import check_refusals, refusal
 
-from .constellations import EMPTY, FULL, crew, mixed, trio
+from .constellations import EMPTY, FULL, crew, mixed, same, trio
 
 pytestmark = pytest.mark.compiled
 
@@ -47,10 +46,6 @@ def view(make=trio, seed=0, **options):
 
 def sample(env, infos):
     return {agent: env.action_space(agent).sample(infos[agent]["action_mask"]) for agent in env.agents}
-
-
-def same(left, right):
-    return data_equivalence(left, right, exact=True)
 
 
 @cases

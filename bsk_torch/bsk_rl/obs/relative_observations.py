@@ -148,10 +148,7 @@ class RelativeProperties(Observation):
 
     def reset_post_sim_init(self) -> None:
         """Find the chief; ValueError if there is none of its name."""
-        named = [satellite for satellite in self.satellite.simulator.satellites if satellite.name == self.chief_name]
-        if not named:
-            raise ValueError(f"Chief satellite {self.chief_name} not found")
-        self.chief = named[0]
+        self.chief = self.satellite.simulator.get_satellite(self.chief_name)
 
     @override
     def get_obs(self) -> dict[str, object]:

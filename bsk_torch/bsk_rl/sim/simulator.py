@@ -24,6 +24,7 @@ from bsk_torch.env.limits import whole_limit
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.dyn.events import DISARMED
+from bsk_torch.sim.names import nearest
 from bsk_torch.sim.run.encounters import LEFT, MET
 
 if TYPE_CHECKING:
@@ -79,6 +80,14 @@ def reads_only_clock(condition: Callable[..., object]) -> bool:
     return all(isinstance(value, int | float) or inspect.ismodule(value) for value in values) and all(
         any(hasattr(module, name) for module in modules) for name in attributes
     )
+
+
+def satellite_named(name: str, satellites: Sequence[Satellite]) -> Satellite:
+    """Return the satellite of a name; ValueError if there is none."""
+    for satellite in satellites:
+        if satellite.name == name:
+            return satellite
+    raise ValueError(f"Satellite with name '{name}' not found; {nearest(name, [satellite.name for satellite in satellites])}")
 
 
 class Simulator:
@@ -160,10 +169,7 @@ class Simulator:
 
     def get_satellite(self, name: str) -> Satellite:
         """Return the satellite of a name; ValueError if there is none."""
-        for satellite in self.satellites:
-            if satellite.name == name:
-                return satellite
-        raise ValueError(f"no satellite is called {name!r}; there are {[satellite.name for satellite in self.satellites]}")
+        return satellite_named(name, self.satellites)
 
     def visible_pairs(self) -> set[tuple[int, int]]:
         """Return pairs of a satellite and another one, by their positions, that it has seen since the last run began."""
