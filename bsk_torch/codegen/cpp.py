@@ -73,7 +73,7 @@ def _parameters(loop: LoweredLoop) -> Lines:
 
 def _block(head: str, body: Iterable[str], close: str = "}") -> Lines:
     """Lines in braces, one level deeper; those of the preprocessor begin at the left."""
-    inner = (line if not line or line.startswith("#") else f"  {line}" for line in body)
+    inner = (line if not line or line[0] == "#" else f"  {line}" for line in body)
     return [f"{head} {{".lstrip(), *inner, close]
 
 

@@ -145,7 +145,7 @@ class Program(Generic[V]):
         folded = fold(self, op, args, dtype)
         if folded is not None:
             return folded
-        return self._intern(op, args, None, dtype, shortest(arg.lifetime for arg in args))
+        return self._intern(op, args, None, dtype, shortest([arg.lifetime for arg in args]))
 
     def cast(self, value: V, dtype: torch.dtype) -> V:
         """Return the same number as another type."""
@@ -178,7 +178,7 @@ class Program(Generic[V]):
     def _intern(self, op: str, args: tuple[Value, ...], attr: object, dtype: torch.dtype, lifetime: int) -> V:
         """Return an equal value that is visible here, or a new one; values that outlive a tick are outside of all conditions."""
         # repr distinguishes 0.0 from -0.0
-        key = (op, tuple(arg.index for arg in args), repr(attr), dtype)
+        key = (op, tuple([arg.index for arg in args]), repr(attr), dtype)
         home = self.region if lifetime == TICK and op != "input" else self.root
         home.require_visible(args)
         for scope in home.chain():

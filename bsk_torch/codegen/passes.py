@@ -62,9 +62,10 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
         carried = _carried(live, outliving, records, variables)
         replacements = {value: variable for (_, value), variable in zip(changes, variables, strict=True)}
         written = tuple(replacements.get(value, value) for value in loop.written)
+    inputs = [value for value in live if value.op == "input"]
     return LoweredLoop(
         mixed=any(value.dtype == torch.float32 for value in live),
-        loads=tuple(value for source in LOADED for value in live if value.is_input(source)),
+        loads=tuple(value for source in LOADED for value in inputs if value.is_input(source)),
         constants=tuple(value for value in live if value.lifetime == CALL and value.op not in ("input", "constant")),
         records=tuple(records),
         body=tuple(body),

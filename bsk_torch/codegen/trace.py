@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import torch
 
@@ -34,9 +34,7 @@ class Proxy(Value):
         """Return the same numbers as another type."""
         return self.program.cast(self, require_dtype(dtype))
 
-    def __hash__(self) -> int:
-        """Proxies are equal where they are the same; ``==`` is an operation."""
-        return id(self)
+    __hash__ = object.__hash__  # proxies are equal where they are the same; ``==`` is an operation
 
     @classmethod
     def __torch_function__(cls, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None) -> Any:
@@ -100,9 +98,12 @@ def _literal_dtype(value: object) -> torch.dtype:
     return require_dtype(torch.float32 if isinstance(value, float) else torch.int64)
 
 
-def _common(program: Program[Proxy], args: Sequence[object]) -> tuple[Proxy, ...]:
+def _common(program: Program[Proxy], args: tuple[object, ...]) -> tuple[Proxy, ...]:
     """Return arguments as values of one type, by torch's promotion: numbers adapt to values, unless these are booleans."""
-    dtypes = {arg.dtype for arg in args if isinstance(arg, Proxy)}
+    dtypes = {arg.dtype if isinstance(arg, Proxy) else None for arg in args}
+    if len(dtypes) == 1 and None not in dtypes:
+        return cast("tuple[Proxy, ...]", args)  # all are values already, and of one type
+    dtypes.discard(None)
     if dtypes <= {torch.bool}:
         dtypes |= {_literal_dtype(arg) for arg in args if not isinstance(arg, Proxy)}
     dtype = next(d for d in (torch.float64, torch.float32, torch.bool) if d in dtypes)
