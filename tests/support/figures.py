@@ -1,10 +1,10 @@
 """Figures in a column of a paper."""
 
 import re
-import sys
 from contextlib import contextmanager
 from itertools import combinations
 
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from bsk_torch.viz.figures.style import COLUMN, LEAST, WIDTH
@@ -19,25 +19,24 @@ def media_width(path):
 
 
 @contextmanager
-def saved(draw):
-    """The figures that a function saves meanwhile."""
-    figures, module = [], sys.modules[draw.__module__]
-    save = module.save
+def saved():
+    """The figures that are saved meanwhile."""
+    figures, savefig = [], Figure.savefig
 
-    def keep(figure, path):
+    def keep(figure, *arguments, **options):
         figures.append(figure)
-        return save(figure, path)
+        return savefig(figure, *arguments, **options)
 
-    module.save = keep
+    Figure.savefig = keep
     try:
         yield figures
     finally:
-        module.save = save
+        Figure.savefig = savefig
 
 
 def figure_of(draw, drawn, path, title):
     """Draw what is ``drawn`` with a function to a PNG; its figure."""
-    with saved(draw) as figures:
+    with saved() as figures:
         content = draw(drawn, path, title).read_bytes()
     assert content[:4] == b"\x89PNG"
     assert len(content) > 10_000
@@ -46,7 +45,7 @@ def figure_of(draw, drawn, path, title):
 
 def check_column(draw, drawn, folder, title=""):
     """Draw what is ``drawn`` with a function at both widths; in a column, texts are legible, whole, and apart from each other."""
-    with saved(draw) as figures:
+    with saved() as figures:
         for width in (WIDTH, COLUMN):
             path = draw(*drawn, folder / f"{draw.__name__}_{width}.pdf", title=title, width=width)
             assert abs(media_width(path) - width) < 1e-3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from matplotlib.figure import Figure
@@ -11,22 +10,15 @@ from matplotlib.ticker import PercentFormatter
 from torch import Tensor
 
 from bsk_torch.lab.audit.audit import Audit
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, fit, headline, label, save, tidy
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, finish, label, tidy
 
 
-class Shares(NamedTuple):
-    """Shares of the decisions and of their regret, ascending, [D + 1] each."""
-
-    decisions: Tensor
-    regret: Tensor
-
-
-def shares(regret: Tensor) -> Shares:
-    """Return the shares of the decisions with the largest regrets [D], and of the regret that these have."""
+def shares(regret: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the shares of the decisions with the largest regrets [D], and of the regret that these have, [D + 1] each."""
     ordered = regret.clamp(min=0.0).sort(descending=True).values
     total = ordered.sum().clamp(min=torch.finfo(ordered.dtype).tiny)
     summed = torch.cat([torch.zeros(1, dtype=ordered.dtype), ordered.cumsum(0) / total])
-    return Shares(torch.arange(len(summed), dtype=ordered.dtype) / max(len(regret), 1), summed)
+    return torch.arange(len(summed), dtype=ordered.dtype) / max(len(regret), 1), summed
 
 
 def regret_figure(audit: Audit, path: Path, title: str = "", width: float = WIDTH) -> Path:
@@ -43,8 +35,7 @@ def regret_figure(audit: Audit, path: Path, title: str = "", width: float = WIDT
     lorenz, times, kinds = figure.subplots(*((3, 1) if narrow else (1, 3)))
     for panel in (lorenz, times, kinds):
         tidy(panel)
-    curve = shares(audit.regret)
-    lorenz.plot(curve.decisions.tolist(), curve.regret.tolist(), color=PALETTE[0], linewidth=1.8)
+    lorenz.plot(*(part.tolist() for part in shares(audit.regret)), color=PALETTE[0], linewidth=1.8)
     lorenz.plot([0.0, 1.0], [0.0, 1.0], color=FAINT, linewidth=1.0)
     lorenz.xaxis.set_major_formatter(PercentFormatter(1.0))
     lorenz.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -58,7 +49,4 @@ def regret_figure(audit: Audit, path: Path, title: str = "", width: float = WIDT
     kinds.xaxis.set_major_formatter(PercentFormatter(1.0))
     kinds.grid(axis="y", visible=False)
     caption(kinds, "share of all regret by chosen action")
-    if title:
-        headline(figure, title)
-    fit(figure, width)
-    return save(figure, path)
+    return finish(figure, path, title, width)

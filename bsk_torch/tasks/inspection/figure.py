@@ -23,7 +23,7 @@ from bsk_torch.recording.reading import Reading
 from bsk_torch.recording.recording import Recording
 from bsk_torch.recording.table import Columns
 from bsk_torch.viz.episodes import Picture, TeamEpisode
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, tidy
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, dot, finish, label, tidy
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, hour_ticks
 from bsk_torch.viz.render.closeup import DARK
 
@@ -190,11 +190,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "", w
     _counts(counts, episode)
     _fuel(fuel, episode)
     hour_ticks(fuel, float(episode.times[-1]) / HOUR, width)
-    if title:
-        headline(figure, f"{title}: {episode.outcome}")
-    fit(figure, width)
-    legend(figure, _legend(episode), width)
-    return save(figure, path)
+    return finish(figure, path, title and f"{title}: {episode.outcome}", width, _legend(episode))
 
 
 def _arrange(width: float) -> tuple[Figure, list[Axes], Axes, list[Axes]]:

@@ -42,6 +42,7 @@ from bsk_torch.viz.figures.style import (
     WIDTH,
     caption,
     dot,
+    finish,
     fit,
     headline,
     label,
@@ -384,11 +385,7 @@ def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "", wid
     label(value, "return")
     value.set_xlim(0.0, hours[-1])
     hour_ticks(value, hours[-1], width)
-    if title:
-        headline(figure, f"{title}: {episode.outcome}")
-    fit(figure, width)
-    legend(figure, _legend(episode), width, 6)
-    return save(figure, path)
+    return finish(figure, path, title and f"{title}: {episode.outcome}", width, _legend(episode), 6)
 
 
 def _services(panel: Axes, episode: RSOImagingEpisode, shown: Sequence[int]) -> None:

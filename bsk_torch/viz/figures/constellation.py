@@ -25,7 +25,7 @@ from bsk_torch.recording.reading import Reading
 from bsk_torch.recording.recording import Recording
 from bsk_torch.recording.table import Columns
 from bsk_torch.viz.episodes import Picture, TeamEpisode
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, SMALLER, WIDTH, caption, dot, fit, headline, legend, save, tidy
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, SMALLER, WIDTH, caption, dot, finish, tidy
 from bsk_torch.viz.figures.timeline import HOUR, hour_ticks, plain
 from bsk_torch.viz.figures.world import ground, pieces, world_map
 
@@ -197,11 +197,7 @@ def constellation_figure(episode: ConstellationEpisode, path: Path, title: str =
         tidy(panel)
     handles = [*_world(world, episode, width), *_rows(rows_panel, episode)]
     hour_ticks(rows_panel, float(episode.times[-1] - episode.times[0]) / HOUR, width)
-    if title:
-        headline(figure, f"{title}: {episode.outcome}")
-    fit(figure, width)
-    legend(figure, handles, width)
-    return save(figure, path)
+    return finish(figure, path, title and f"{title}: {episode.outcome}", width, handles)
 
 
 def _clock(seconds: float) -> str:

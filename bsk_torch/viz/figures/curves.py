@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, legend, name_lines, panels, save, share, tidy
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, finish, label, name_lines, panels, share, tidy
 
 NAME_HEIGHT = 0.055
 """Height of a line's name, fraction of the panel's."""
@@ -46,10 +46,7 @@ def learning_curve(
     label(survival, "survival")
     survival.set_xlabel(f"training time, s ({log['simulated_days'][-1]:,.0f} days of flight in all)", color=INK, fontsize=9.5)
     survival.set_xlim(0.0, max(log["seconds"]))
-    if title:
-        headline(figure, title)
-    fit(figure, width)
-    return save(figure, path)
+    return finish(figure, path, title, width)
 
 
 def performance_profiles(
@@ -81,8 +78,4 @@ def performance_profiles(
     panel.yaxis.set_major_formatter(PercentFormatter(1.0))
     panel.set_xlabel("score: 0 for random actions, 1 for the reference", color=INK, fontsize=9.5)
     label(panel, "runs and tasks above the score")
-    if title:
-        headline(figure, title)
-    fit(figure, width)
-    legend(figure, names, width)
-    return save(figure, path)
+    return finish(figure, path, title, width, names)

@@ -174,6 +174,18 @@ def headline(figure: Figure, text: str) -> None:
     figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold", wrap=True, parse_math=False)
 
 
+def finish(
+    figure: Figure, path: Path, title: str, width: float, handles: Sequence[Artist] | None = None, columns: int = 5
+) -> Path:
+    """Write a headline and a legend, if there are any, fit a figure to its ``width``, inches, and :func:`save` it."""
+    if title:
+        headline(figure, title)
+    fit(figure, width)
+    if handles is not None:
+        legend(figure, handles, width, columns)
+    return save(figure, path)
+
+
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure in the format of the path's suffix, .png, .svg or .pdf, and return the path.
 

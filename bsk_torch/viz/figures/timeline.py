@@ -26,21 +26,7 @@ from bsk_torch.recording.recording import Recording
 from bsk_torch.recording.scenes import QUANTITIES
 from bsk_torch.recording.table import Columns, number_columns
 from bsk_torch.viz.episodes import Episode, Picture
-from bsk_torch.viz.figures.style import (
-    INK,
-    PALETTE,
-    WIDTH,
-    caption,
-    dot,
-    fit,
-    headline,
-    label,
-    legend,
-    panels,
-    save,
-    share,
-    tidy,
-)
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, caption, dot, finish, label, panels, share, tidy
 from bsk_torch.viz.figures.world import ground, pieces, world_map
 
 __all__ = ["TrackEpisode", "timeline", "track_map"]
@@ -181,11 +167,7 @@ def timeline(
     time_axis(axes[-1], episode, width=width)
     for k, (time, text) in enumerate(sorted(marks)):
         mark(axes, time / HOUR, text, row=k)
-    if title:
-        headline(figure, f"{title}: {episode.outcome}")
-    fit(figure, width)
-    legend(figure, _legend(episode), width, 8)
-    return save(figure, path)
+    return finish(figure, path, title and f"{title}: {episode.outcome}", width, _legend(episode), 8)
 
 
 def time_axis(panel: Axes, episode: TrackEpisode, labeled: bool = True, width: float = WIDTH) -> None:
@@ -304,10 +286,8 @@ def track_map(
         panel.plot(*ground(episode.track[k]), marker, color="white", markeredgecolor=INK, markersize=6.5, zorder=6)
     if title:
         caption(panel, "ground track by mode; thick where a reward was earned, shaded in eclipse")
-        headline(figure, f"{title}: {episode.outcome}")
-    fit(figure, width)
-    legend(figure, [*_map_legend(episode), *(dot("o", color, color, name) for name, color, _ in places)], width, 8)
-    return save(figure, path)
+    handles = [*_map_legend(episode), *(dot("o", color, color, name) for name, color, _ in places)]
+    return finish(figure, path, title and f"{title}: {episode.outcome}", width, handles, 8)
 
 
 def decision_of(episode: TrackEpisode) -> Tensor:
