@@ -314,16 +314,16 @@ class Recording:
         kind: What its figure shows, one of :data:`bsk_torch.viz.episodes.KINDS`; empty in files of older versions.
     """
 
-    title: str
-    preset: str
-    policy: str
-    package: str
+    title: Word
+    preset: Word
+    policy: Word
+    package: Word
     places: Places
     station_min_elevation: float
     satellites: list[Craft]
     scenes: list[Scene]
     tracks: list[Track]
-    kind: str = ""
+    kind: Word = ""
 
     def encode(self) -> bytes:
         """Return the content of a file; ValueError for a recording that contradicts itself, or is too large."""
@@ -378,22 +378,12 @@ class ArrayEntry:
     scale: float | None = None
 
 
-@dataclass(kw_only=True)
-class Header:
+@dataclass(frozen=True, kw_only=True)
+class Header(Recording):
     """The header of a file. Scenes and tracks get their arrays afterwards."""
 
     payload_bytes: Count
-    title: Word
-    preset: Word
-    policy: Word
-    package: Word
-    places: Places
-    station_min_elevation: float
-    satellites: list[Craft]
-    scenes: list[Scene]
-    tracks: list[Track]
     arrays: dict[str, ArrayEntry]
-    kind: Word = ""
 
 
 def decode(content: bytes) -> Recording:
