@@ -22,7 +22,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
-from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
+from torchrl.modules import ValueOperator
 from torchrl.modules.value_norm import ValueNorm
 from typing_extensions import override
 
@@ -31,7 +31,7 @@ from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.marl.networks import ConstellationCritic, DecidingOnly
 from bsk_torch.rl.networks.normaliser import CLOCK
-from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, Clocked, MLPPlan, Plan, real_actor
+from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, Clocked, MLPPlan, Plan, actor_of
 from bsk_torch.rl.networks.precision import float32_weights
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
@@ -221,17 +221,9 @@ class GroupLearner(Learner):
         critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
         self.bounds: Bounds = getattr(self.plan, "bounds", ())
         parameters = self.networks.actor[0]  # of the distribution
-        acting, inputs = DecidingOnly(parameters.module), [*parameters.in_keys, DECIDES]
-        if self.bounds:
-            actor = real_actor(TensorDictModule(acting, in_keys=inputs, out_keys=["loc", "scale"]), self.bounds)
-        else:
-            actor = ProbabilisticActor(
-                TensorDictModule(acting, in_keys=inputs, out_keys=["logits"]),
-                in_keys={"logits": "logits", "mask": "action_mask"},
-                distribution_class=MaskedCategorical,
-                return_log_prob=True,
-            )
-        self._learn_by(actor, critic)
+        inputs, outputs = [*parameters.in_keys, DECIDES], parameters.out_keys
+        acting = TensorDictModule(DecidingOnly(parameters.module), in_keys=inputs, out_keys=outputs)
+        self._learn_by(actor_of(acting, self.bounds), critic)
 
     @override
     def make_plan(self, env: SatelliteTasking) -> Plan:

@@ -120,7 +120,9 @@ class MLPPlan:
         """Return new networks."""
         actor = self._layers(self.n_observed, self.n_outputs)
         self._calm(cast(nn.Linear, actor[-1]))
-        return Networks(VectorNormaliser(self.n_observed), _actor(actor, [OWN], self.bounds), self._critic())
+        return Networks(
+            VectorNormaliser(self.n_observed), actor_of(_parameters(actor, [OWN], self.bounds), self.bounds), self._critic()
+        )
 
     def _critic(self) -> ValueOperator:
         return ValueOperator(Clocked(self._layers(self.n_observed + CLOCKS, 1)), in_keys=[OWN, CLOCK])
@@ -157,7 +159,7 @@ class GRUPlan(MLPPlan):
         head = nn.Linear(last, self.n_outputs)
         self._calm(head)
         parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, _parameters(head, ["remembered"], self.bounds)]
-        actor = _distributed(TensorDictSequential(*parts), self.bounds)
+        actor = actor_of(TensorDictSequential(*parts), self.bounds)
         return Networks(VectorNormaliser(self.n_observed), actor, self._critic())
 
 
@@ -288,7 +290,8 @@ class AttentionPlan:
         actor = SetActor(self._encoder(self.n_own, len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
         critic = Clocked(SetCritic(self._encoder(self.n_own + CLOCKS, 0), width))
         normaliser = SetNormaliser(self.set_key, self.own_keys, self.n_own, self.n_features)
-        return Networks(normaliser, _actor(actor, [*keys, "action_mask"]), ValueOperator(critic, in_keys=[*keys, CLOCK]))
+        acting = actor_of(_parameters(actor, [*keys, "action_mask"], ()), ())
+        return Networks(normaliser, acting, ValueOperator(critic, in_keys=[*keys, CLOCK]))
 
     def with_images(self, number: int) -> AttentionPlan:
         """Return the plan of the same networks for another number of images."""
@@ -337,32 +340,25 @@ def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
     return {("observation", *key): spec[key].shape for key in keys}
 
 
-def _actor(network: nn.Module, in_keys: list[NestedKey], bounds: Bounds = ()) -> ProbabilisticActor:
-    """Return the distribution of actions from a network for logits [..., A] or means [..., A]."""
-    return _distributed(_parameters(network, in_keys, bounds), bounds)
-
-
 def _parameters(network: nn.Module, in_keys: list[NestedKey], bounds: Bounds) -> TensorDictModule:
     if not bounds:
         return TensorDictModule(network, in_keys=in_keys, out_keys=["logits"])
     return TensorDictModule(NormalParameters(network, len(bounds)), in_keys=in_keys, out_keys=["loc", "scale"])
 
 
-def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> ProbabilisticActor:
-    """Return an actor with a categorical distribution over the legal actions, or a normal one squashed into bounds."""
-    if bounds:
-        return real_actor(module, bounds)
-    return ProbabilisticActor(
-        module,
-        in_keys={"logits": "logits", "mask": "action_mask"},
-        out_keys=["action"],
-        distribution_class=MaskedCategorical,
-        return_log_prob=True,
-    )
+def actor_of(module: TensorDictModuleBase, bounds: Bounds) -> ProbabilisticActor:
+    """Return an actor with a categorical distribution over the legal actions, or a normal one squashed into ``bounds``.
 
-
-def real_actor(module: TensorDictModuleBase, bounds: Bounds) -> ProbabilisticActor:
-    """Return an actor for bounded continuous actions from a module that writes ``loc`` and ``scale``, [..., A] each."""
+    The ``module`` writes ``logits`` [..., A]; for bounded continuous actions ``loc`` and ``scale``, [..., A] each.
+    """
+    if not bounds:
+        return ProbabilisticActor(
+            module,
+            in_keys={"logits": "logits", "mask": "action_mask"},
+            out_keys=["action"],
+            distribution_class=MaskedCategorical,
+            return_log_prob=True,
+        )
     low, high = torch.tensor(bounds, dtype=torch.float32).unbind(-1)
     return ProbabilisticActor(
         module,
