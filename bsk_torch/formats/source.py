@@ -23,7 +23,7 @@ class Source(NamedTuple):
         raise ValueError(one_line(f"{where}: {problem}"))
 
 
-def read_source(source: str | Path, most: int = MOST_BYTES) -> Source:
+def read_source(source: str | Path) -> Source:
     """Return the text of a file, or a text itself, which is a string with a line break or an opening bracket of JSON or XML.
 
     Raises:
@@ -39,15 +39,15 @@ def read_source(source: str | Path, most: int = MOST_BYTES) -> Source:
     else:
         title = repr(str(source))
         try:
-            content = read_bytes(source, most)
+            content = read_bytes(source, MOST_BYTES)
             document = Source(title, content.decode("utf-8-sig"))
         except UnicodeDecodeError as error:
             raise ValueError(f"{title} is no text: byte {error.start:,} is not UTF-8") from None
         except ValueError as error:
             raise ValueError(one_line(f"{title}: {error}")) from None
         size = len(content)
-    if size > most:
-        document.fail(None, f"it has more than {most:,} bytes")
+    if size > MOST_BYTES:
+        document.fail(None, f"it has more than {MOST_BYTES:,} bytes")
     if not document.text.strip():
         document.fail(None, "it is empty")
     return document

@@ -34,13 +34,6 @@ class Card:
     share: float
 
 
-@dataclass
-class Format:
-    """What the card of any version says."""
-
-    format: int
-
-
 @dataclass(frozen=True)
 class OfflineDataset:
     """A dataset that :func:`~bsk_torch.lab.offline.write_dataset` has written.
@@ -152,14 +145,13 @@ def open_dataset(folder: Path | str) -> OfflineDataset:
         raise FileNotFoundError(f"{str(folder)!r} is not a dataset: it has no file {CARD!r}")
     try:
         content = read_bytes(path, MOST_JSON)
-        version = parse_json(content, Format).format
-        if version == FORMAT:
-            parse_json(content, Card)
         card = parse_json(content, dict[str, Json])
+        if card.get("format") == FORMAT:
+            parse_json(content, Card)
     except ValueError as error:
         raise ValueError(f"{str(path)!r} is not the card of a dataset: {error}") from None
-    if version != FORMAT:
-        raise ValueError(f"{str(path)!r} has format {version}; this version of bsk_torch reads format {FORMAT}")
+    if card.get("format") != FORMAT:
+        raise ValueError(f"{str(path)!r} has format {card.get('format')!r:.40}; this version of bsk_torch reads format {FORMAT}")
     return OfflineDataset(Path(folder), card)
 
 

@@ -51,14 +51,14 @@ class CooperativeRule(ImagingRule):
     numbers: Sharing = Sharing()
 
     @classmethod
-    def in_cluster(cls, env: SatelliteTasking, numbers: Sharing | None = None) -> CooperativeRule:
-        """Return the rule for an environment, with numbers that suit the instrument unless they are given.
+    def in_cluster(cls, env: SatelliteTasking) -> CooperativeRule:
+        """Return the rule for an environment, with numbers that suit the instrument.
 
         ValueError or KeyError without targets or the required observations.
         """
         plain, sees_through = ImagingRule.of(env, by_tour), getattr(env.satellite, "sees_through_clouds", False)
-        chosen = numbers or (RADAR if sees_through else Sharing())
-        return cls(plain.see, plain.images, by_tour, plain.description, plain.actions, sees_through, chosen)
+        numbers = RADAR if sees_through else Sharing()
+        return cls(plain.see, plain.images, by_tour, plain.description, plain.actions, sees_through, numbers)
 
     def worths(self, observation: Observation, action_mask: Tensor) -> Tensor:
         """Return what each action is worth, [N, A]; charging has a value between zero and that of an image."""
