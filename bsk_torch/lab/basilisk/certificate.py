@@ -12,7 +12,7 @@ from typing import cast
 
 import gymnasium
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.data import Composite
@@ -143,33 +143,25 @@ def agreed(actions: Sequence[int], reference: Sequence[int]) -> int:
 # -- in bsk_torch ------------------------------------------------------------------------------------------------------
 
 
-class Noted(TensorDictModuleBase):
-    """A policy, its actions, and the initial conditions of the episodes, read at the first decision."""
-
-    def __init__(self, policy: Policy, starts: Callable[[], list[Start]]) -> None:
-        """Note what ``policy`` does; ``starts`` returns what the episodes of the present start from."""
-        super().__init__()
-        self.policy, self.read = policy, starts
-        self.starts: list[Start] = []
-        self.actions: list[Tensor] = []
-        self.in_keys = list(getattr(policy, "in_keys", []))
-        self.out_keys = list(getattr(policy, "out_keys", []))
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write what the policy writes."""
-        if not self.actions:
-            self.starts = self.read()
-        tensordict = self.policy(tensordict)
-        self.actions.append(tensordict["action"].cpu().clone())
-        return tensordict
-
-
-def flown_here(env: SatelliteTasking, policy: Policy, seeds: Sequence[int]) -> tuple[Evaluation, list[Start], Tensor]:
+def flown_here(
+    env: SatelliteTasking, policy: TensorDictModuleBase, seeds: Sequence[int]
+) -> tuple[Evaluation, list[Start], Tensor]:
     """Results of the episodes of n seeds, one in each row of ``env``, what they start from, and their actions [T, n]."""
-    noted = Noted(policy, lambda: starts_of(env, seeds))
+    starts, actions = list[Start](), list[Tensor]()
+
+    def note_starts(*_: object) -> None:
+        if not actions:
+            starts.extend(starts_of(env, seeds))
+
+    hooks = (
+        policy.register_forward_pre_hook(note_starts),
+        policy.register_forward_hook(lambda policy, inputs, decided: actions.append(decided["action"].cpu().clone())),
+    )
     with torch.no_grad():
-        result = evaluate(noted, env, seeds=seeds)
-    return result, noted.starts, torch.stack(noted.actions)
+        result = evaluate(policy, env, seeds=seeds)
+    for hook in hooks:
+        hook.remove()
+    return result, starts, torch.stack(actions)
 
 
 def problem_and_form(task: Task, env: SatelliteTasking) -> tuple[Problem, Callable[[Tensor], object]]:

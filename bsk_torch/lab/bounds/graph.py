@@ -31,19 +31,11 @@ LAST_CLOSINGS = 3
 """Number of next-closing windows to search for one outside a pair."""
 
 
-class Spans(NamedTuple):
-    """Items of consecutive segments: the segment that each belongs to, its number within, and where segments begin."""
-
-    segment: Tensor
-    offset: Tensor
-    begin: Tensor
-
-
-def spans(lengths: Tensor) -> Spans:
-    """Return the items of segments of ``lengths`` [n]."""
+def spans(lengths: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the segment and the number in it of each item of consecutive segments of ``lengths`` [n], and where these begin."""
     segment = torch.repeat_interleave(torch.arange(len(lengths)), lengths)
     begin = torch.cumsum(lengths, 0) - lengths
-    return Spans(segment, torch.arange(len(segment)) - begin[segment], begin)
+    return segment, torch.arange(len(segment)) - begin[segment], begin
 
 
 @dataclass(frozen=True)
@@ -117,13 +109,8 @@ def image_graph(
     nodes, slack, sectors = _Nodes(first, length, begin, number), ticks - 1, envelope.sectors + 1
     reach = max(-(-(envelope.longest - slack) // ticks), int(length.max()) if len(length) else 0) + 1
     closings = None if envelope.any == envelope.direct else _closings(openings, rows, pause)
-    sources: list[Tensor] = []
-    destinations: list[Tensor] = []
-    pairs: list[Tensor] = []
-    pair_from: list[Tensor] = []
-    pair_to: list[Tensor] = []
-    pair_cells: list[Tensor] = []
-    total = 0
+    none = torch.zeros(0, dtype=torch.int64)
+    edges, pairs, total = [(none.int(),) * 3], [(none,) * 3], 0
     pointings = _pointings(openings, window, cell, r_P, r_LP_P, envelope)
     for origin, goal in _pairs(row, target, first, last, reach, rows):
         leave, reached = r_LP_P[row[origin], target[origin]], r_LP_P[row[goal], target[goal]]
@@ -134,16 +121,13 @@ def image_graph(
         for sector in range(sectors):
             arrival = _arrivals(legs, pointings[sector], envelope, ticks)
             source, destination, pair, shortest = _edges(nodes, origin, goal, arrival, cells, reach)
-            sources.append((source * sectors + sector).int())
-            destinations.append((destination * sectors + torch.where(stays, sector, new)[pair]).int())
-            pairs.append((pair + total).int())
+            at = destination * sectors + torch.where(stays, sector, new)[pair]
+            edges.append(((source * sectors + sector).int(), at.int(), (pair + total).int()))
             least = torch.minimum(least, shortest)
-        pair_from.append(origin)
-        pair_to.append(goal)
-        pair_cells.append(least)
+        pairs.append((origin, goal, least))
         total += len(origin)
-    none = torch.zeros(0, dtype=torch.int64)
-    source, destination, pair = (torch.cat(parts or [none.int()]) for parts in (sources, destinations, pairs))
+    source, destination, pair = (torch.cat(column) for column in zip(*edges, strict=True))
+    pair_from, pair_to, pair_cells = (torch.cat(column) for column in zip(*pairs, strict=True))
     destination, by = torch.sort(destination, stable=True)
     index, offset = torch.arange(n * sectors) // sectors, torch.arange(n * sectors) % sectors
     return ImageGraph(
@@ -152,10 +136,7 @@ def image_graph(
         late=(cell * ticks - (openings.last - envelope.reserve)[window]).clamp(min=0)[order][index],
         node_begin=torch.searchsorted(row[window][order], torch.arange(rows + 1)) * sectors,
         edge_begin=torch.searchsorted(destination, torch.arange(n * sectors + 1, dtype=torch.int32)),
-        source=source[by], pair=pair[by],
-        pair_from=torch.cat(pair_from or [none]),
-        pair_to=torch.cat(pair_to or [none]),
-        pair_cells=torch.cat(pair_cells or [none]),
+        source=source[by], pair=pair[by], pair_from=pair_from, pair_to=pair_to, pair_cells=pair_cells,
     )  # fmt: skip
 
 
