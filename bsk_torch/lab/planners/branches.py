@@ -92,7 +92,8 @@ class Flown(NamedTuple):
         rest: Return after the first step, discounted to its end, [J].
         simulated: Simulated time, [J] s.
         summary: Result of ``watch`` after the first step, [J]; None without it.
-        acted: For continuous actions, the first D actions of the agent, [J, D, W], and the number of executed ones, [J].
+        acted: For continuous actions, the first D actions of the agent, [J, D, W].
+        executed: For continuous actions, the number of those that were executed, [J].
     """
 
     reward: Tensor
@@ -101,23 +102,19 @@ class Flown(NamedTuple):
     rest: Tensor
     simulated: Tensor
     summary: TensorDictBase | None
-    acted: tuple[Tensor, Tensor] | None
+    acted: Tensor | None
+    executed: Tensor | None
 
     @classmethod
     def joined(cls, parts: Sequence[Flown]) -> Flown:
         """Return the branches of all parts, in order."""
-        columns = {name: torch.cat([getattr(part, name) for part in parts]) for name in cls._fields[:5]}
-        summary = None if parts[0].summary is None else torch.cat([part.summary for part in parts])  # type: ignore[misc]
-        acted = [part.acted for part in parts if part.acted is not None]
-        numbers = (torch.cat([a for a, _ in acted]), torch.cat([n for _, n in acted])) if acted else None
-        return cls(**columns, summary=summary, acted=numbers)
+        columns = (None if column[0] is None else torch.cat(column) for column in zip(*parts, strict=True))
+        return cls(*columns)  # type: ignore[arg-type]
 
     def take(self, first: int, end: int) -> Flown:
         """Return the branches from ``first`` on, before ``end``."""
-        columns = {name: getattr(self, name)[first:end] for name in self._fields[:5]}
-        summary = None if self.summary is None else self.summary[first:end]
-        acted = None if self.acted is None else (self.acted[0][first:end], self.acted[1][first:end])
-        return Flown(**columns, summary=summary, acted=acted)
+        columns = (None if column is None else column[first:end] for column in self)
+        return Flown(*columns)  # type: ignore[arg-type]
 
 
 class Branches:
@@ -221,9 +218,8 @@ class Branches:
             if not bool(flying.any()):
                 break
         reward, lasted, done = (part[:m] for part in edge)
-        return Flown(
-            reward, lasted, done, total[:m], lasted + elapsed[:m], summary, (acted[:m], count[:m].clone()) if real else None
-        )
+        taken = (acted[:m], count[:m].clone()) if real else (None, None)
+        return Flown(reward, lasted, done, total[:m], lasted + elapsed[:m], summary, *taken)
 
     def _draw_lots(self, now: TensorDictBase, env_ids: Tensor) -> None:
         """Draw the random numbers of the base policy, determined by episode and time."""

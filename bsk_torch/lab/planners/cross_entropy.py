@@ -133,7 +133,8 @@ class CrossEntropy(Planner):
         which = torch.arange(n, device=rows.device).repeat_interleave(p)
         total, flown = self._flown(td, memory, rows, slot, which, plans.flatten(0, 1))
         assert flown.acted is not None
-        acted, count = (part.view(n, p, copies, *part.shape[1:])[:, :, 0] for part in flown.acted)
+        assert flown.executed is not None
+        acted, count = (part.view(n, p, copies, *part.shape[1:])[:, :, 0] for part in (flown.acted, flown.executed))
         said = torch.arange(self.depth, device=rows.device) < count.unsqueeze(-1)
         acted = torch.where(said.unsqueeze(-1), acted, acted[:, :, :1])  # sequences that the horizon cuts repeat the first action
         return total.view(n, p, copies).mean(2), flown.simulated.view(n, -1).sum(1), acted
