@@ -12,8 +12,12 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
+import torch
 
-from bsk_torch.recording.recording import Array, Recording, Scene, Track
+from bsk_torch.astro.attitude import dcm_to_mrp, mrp_subtract
+from bsk_torch.astro.frames import rotate_z
+from bsk_torch.recording.recording import Recording, Scene, Track
+from bsk_torch.vec3 import Mat3, Vec3
 
 __all__ = ["czml"]
 
@@ -186,41 +190,19 @@ def _orientation(flight: Track, scene: Scene, k: int, begin: float) -> list[floa
     sigma = flight.arrays["sigma"][:, k].astype("f8")
     if not len(sigma):
         return None
-    stride = max(1, round(ATTITUDE_STEP / flight.attitude_step))
-    at = np.arange(0, len(sigma), stride)
+    at = np.arange(0, len(sigma), max(1, round(ATTITUDE_STEP / flight.attitude_step)))
     times = flight.attitude_start + at * flight.attitude_step
     good = np.isfinite(sigma[at]).all(-1) & (times >= begin)
     times, sigma = times[good], sigma[at][good]
     if not len(times):
         return None
-    square = (sigma**2).sum(-1, keepdims=True)
-    body = np.concatenate([2.0 * sigma, 1.0 - square], -1) / (1.0 + square)  # of the turn from N to body axes
-    angle = 0.5 * scene.rate * times  # of the Earth since time 0
-    spin = np.stack([0.0 * angle, 0.0 * angle, np.sin(angle), np.cos(angle)], -1)
-    first = np.tile(_quaternion(np.array(scene.PN0).reshape(3, 3)), (len(times), 1))
-    # vectors turn from body axes to N, then to P; turns of axes are the inverse of turns of vectors
-    inverse = np.array([-1.0, -1.0, -1.0, 1.0])
-    turn = _product(_product(spin * inverse, first * inverse), body)
-    turn *= np.where(turn[:, 3:] < 0.0, -1.0, 1.0)
-    return np.concatenate([times[:, None], turn], 1).round(7).flatten().tolist()
-
-
-def _quaternion(dcm: Array) -> Array:
-    """Quaternion (x, y, z, w) whose turn of axes is a DCM, by Shepperd's method."""
-    squares = np.array([1.0 + 2.0 * np.diag(dcm)[i] - np.trace(dcm) for i in range(3)] + [1.0 + np.trace(dcm)]) / 4.0
-    off = np.array([dcm[1, 2] - dcm[2, 1], dcm[2, 0] - dcm[0, 2], dcm[0, 1] - dcm[1, 0]]) / 4.0
-    table = (np.pad(dcm + dcm.T, (0, 1))) / 4.0
-    table[:3, 3] = table[3, :3] = off
-    np.fill_diagonal(table, squares)
-    largest = int(squares.argmax())
-    quaternion: Array = table[largest] / np.sqrt(squares[largest])
-    return quaternion
-
-
-def _product(a: Array, b: Array) -> Array:
-    """Products of quaternions (x, y, z, w), [M, 4]."""
-    va, wa, vb, wb = a[:, :3], a[:, 3:], b[:, :3], b[:, 3:]
-    return np.concatenate([wa * vb + wb * va + np.cross(va, vb), wa * wb - (va * vb).sum(-1, keepdims=True)], -1)
+    angle = torch.from_numpy(scene.rate * times)  # of the Earth since time 0
+    columns = Mat3.of(torch.tensor(scene.PN0, dtype=torch.float64).view(3, 3)).mT
+    PN = Mat3(*(rotate_z(column, angle.cos(), angle.sin()) for column in columns)).mT
+    sigma_BP = mrp_subtract(Vec3.of(torch.from_numpy(sigma)), dcm_to_mrp(PN)).stack()
+    square = sigma_BP.square().sum(-1, keepdim=True)
+    turn = torch.cat([2.0 * sigma_BP, 1.0 - square], -1) / (1.0 + square)
+    return np.concatenate([times[:, None], turn.numpy()], 1).round(7).flatten().tolist()
 
 
 def _stations(scene: Scene) -> list[dict[str, object]]:
