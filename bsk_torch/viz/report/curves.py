@@ -30,15 +30,6 @@ HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 
 
 @dataclass(frozen=True)
-class Mark:
-    """Something that the paper says of a measure: at a ``level`` of it, or after so many ``frames`` of training."""
-
-    text: str
-    level: float | None = None
-    frames: float | None = None
-
-
-@dataclass(frozen=True)
 class Measure:
     """A column of the logs followed over training.
 
@@ -47,7 +38,9 @@ class Measure:
         title: What it is called.
         about: What it is, in a sentence without its full stop.
         figure: Number of the paper's figure of it.
-        mark: The paper's value and its source, from the text of section 4.2.
+        mark: What the text of section 4.2 of the paper says of it.
+        level: The value of the measure that this is about, or None.
+        frames: The frames of training that this is about, or None.
         fraction: Whether it is a fraction, shown in percent from 0 to 100.
     """
 
@@ -55,39 +48,33 @@ class Measure:
     title: str
     about: str
     figure: int
-    mark: Mark
+    mark: str
+    level: float | None = None
+    frames: float | None = None
     fraction: bool = False
 
 
 MEASURES = (
-    Measure(
-        "return",
-        "Return of an episode",
-        "The sum of an episode's rewards",
-        2,
-        Mark("paper: trained for 50 M steps", frames=50e6),
-    ),
+    Measure("return", "Return of an episode", "The sum of an episode's rewards", 2, "paper: trained for 50 M steps", frames=50e6),
     Measure(
         "survival",
         "Episodes survived",
         "The share of episodes in which the satellite lives to the end",
         3,
-        Mark("paper, end of training: 94.5 %", level=0.945),
+        "paper, end of training: 94.5 %",
+        level=0.945,
         fraction=True,
     ),
     Measure(
-        "collected",
-        "Data collected",
-        "The return without the penalty for dying",
-        4,
-        Mark("maximum: scanning all the time", level=1.0),
+        "collected", "Data collected", "The return without the penalty for dying", 4, "maximum: scanning all the time", level=1.0
     ),
     Measure(
         "fill",
         "Data store at the end",
         "The filled share of the data buffer at the end of an episode",
         5,
-        Mark("paper: downlinks better from 17 M steps on", frames=17e6),
+        "paper: downlinks better from 17 M steps on",
+        frames=17e6,
         fraction=True,
     ),
 )
@@ -130,7 +117,7 @@ def curve(measure: Measure, log: Columns, evaluations: Columns, path: Path, *, m
     _lines(panel, measure, log, evaluations)
     _limits(panel, measure, log, evaluations, marked)
     if marked:
-        _mark(panel, measure.mark)
+        _mark(panel, measure)
     panel.xaxis.set_major_formatter(EngFormatter(sep=" "))
     panel.set_xlabel("steps of training", color=INK, fontsize=9.5)
     if panel.get_legend_handles_labels()[1]:
@@ -157,30 +144,30 @@ def _limits(panel: Axes, measure: Measure, log: Columns, evaluations: Columns, m
         panel.yaxis.set_major_formatter(PercentFormatter(1.0))
         return
     low, high = panel.dataLim.intervaly
-    if marked and measure.mark.level is not None:
-        low, high = min(low, 0.0), max(high, measure.mark.level)
+    if marked and measure.level is not None:
+        low, high = min(low, 0.0), max(high, measure.level)
     free = MARGIN * max(high - low, 1e-9)
     panel.set_ylim(low - free, high + free)
 
 
-def _mark(panel: Axes, mark: Mark) -> None:
+def _mark(panel: Axes, measure: Measure) -> None:
     """A dashed line with its name, or the name and an arrow at the right where the line lies beyond what was trained."""
     look: dict[str, Any] = dict(color=PAPER, linewidth=1.1, linestyle=(0, (4, 2)), zorder=1.5)
     text: dict[str, Any] = dict(color=PAPER, fontsize=8.5, zorder=4, path_effects=HALO)
-    if mark.level is not None:
-        panel.axhline(mark.level, **look)
-        at: dict[str, Any] = dict(xy=(1.0, mark.level), xycoords=panel.get_yaxis_transform(), textcoords="offset points")
-        panel.annotate(mark.text, xytext=(-3.0, -3.0), ha="right", va="top", **at, **text)
+    if measure.level is not None:
+        panel.axhline(measure.level, **look)
+        at: dict[str, Any] = dict(xy=(1.0, measure.level), xycoords=panel.get_yaxis_transform(), textcoords="offset points")
+        panel.annotate(measure.mark, xytext=(-3.0, -3.0), ha="right", va="top", **at, **text)
         return
-    assert mark.frames is not None
+    assert measure.frames is not None
     last = panel.get_xlim()[1]
-    if mark.frames > last:
-        panel.annotate(f"{mark.text} →", (1.0, 0.03), xycoords="axes fraction", ha="right", va="bottom", **text)
+    if measure.frames > last:
+        panel.annotate(f"{measure.mark} →", (1.0, 0.03), xycoords="axes fraction", ha="right", va="bottom", **text)
         return
-    panel.axvline(mark.frames, **look)
-    left = mark.frames > 0.5 * last
-    at = dict(xy=(mark.frames, 0.03), xycoords=panel.get_xaxis_transform(), textcoords="offset points")
-    panel.annotate(mark.text, xytext=(-4.0 if left else 4.0, 0.0), ha="right" if left else "left", va="bottom", **at, **text)
+    panel.axvline(measure.frames, **look)
+    left = measure.frames > 0.5 * last
+    at = dict(xy=(measure.frames, 0.03), xycoords=panel.get_xaxis_transform(), textcoords="offset points")
+    panel.annotate(measure.mark, xytext=(-4.0 if left else 4.0, 0.0), ha="right" if left else "left", va="bottom", **at, **text)
 
 
 def deaths_chart(deaths: Mapping[str, Mapping[str, int]], path: Path) -> Path:
