@@ -39,19 +39,6 @@ class Flown(NamedTuple):
     seconds: Tensor
 
 
-def judges(
-    env: SatelliteTasking, targets: Mapping[str, TensorDictModuleBase], gamma: float, futures: int | None
-) -> dict[str, ActionValues]:
-    """Return planners that value all actions for each of the ``targets``.
-
-    Raises:
-        ValueError: If the environment cannot be copied; see also :class:`~bsk_torch.lab.planners.planner.Planner`.
-    """
-    return {
-        name: ActionValues(env, target, horizon=float("inf"), gamma=gamma, futures=futures) for name, target in targets.items()
-    }
-
-
 def play(
     env: SatelliteTasking,
     behavior: Behavior,
@@ -66,7 +53,7 @@ def play(
         env: The environment, N episodes with ``env_ids=[0] * N``.
         behavior: The policy that acts.
         seeds: Seeds of the episodes.
-        values: Planners that value actions, by the name of their policy; see :func:`judges`.
+        values: Planners that value actions, by the name of their policy.
         share: Probability that a decision is sampled for its counterfactual returns.
         first: Number of the first episode in the dataset.
     """
@@ -118,12 +105,6 @@ def target_returns(env: SatelliteTasking, target: TensorDictModuleBase, seeds: S
         gain = discounting.after(env.fleet.sim_time) * (env.returns - earlier)
         total, earlier = total + torch.where(playing, gain, 0.0), env.returns.clone()
     return total[: len(seeds)].cpu()
-
-
-def first_observations(env: SatelliteTasking, seeds: Sequence[int]) -> TensorDict:
-    """Return what is observed when the episodes of at most N seeds start, [n]."""
-    start = start_episodes(env, seeds).select(*env.observation_spec.keys(True, True))
-    return start[: len(seeds)].cpu().clone()
 
 
 def _judged(td: TensorDictBase, rows: Tensor, values: Mapping[str, ActionValues]) -> TensorDictBase:

@@ -19,7 +19,7 @@ from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.files import unwritable, write_file
 from bsk_torch.lab.offline.behaviors import Behavior, slug
 from bsk_torch.lab.offline.croissant import croissant
-from bsk_torch.lab.offline.flights import Flown, first_observations, judges, play, target_returns
+from bsk_torch.lab.offline.flights import Flown, play, target_returns
 from bsk_torch.lab.offline.layout import (
     CARD,
     COUNTERFACTUALS,
@@ -39,6 +39,7 @@ from bsk_torch.lab.offline.layout import (
 from bsk_torch.lab.offline.minari_format import check_minari, write_minari
 from bsk_torch.lab.offline.recipe import Recipe
 from bsk_torch.lab.planners.rollout import ActionValues
+from bsk_torch.rl.evaluation.evaluate import start_episodes
 
 BLOCK = 1 << 20
 """Bytes of a file read at once."""
@@ -81,7 +82,8 @@ def write_dataset(folder: Path | str, env: Tasking, recipe: Recipe, progress: Pr
     folder = Path(folder)
     check_folder(folder)
     one = recipe.checked(env)
-    values = judges(one, recipe.targets, recipe.gamma, recipe.futures) if recipe.share > 0.0 else {}
+    judged = recipe.targets if recipe.share > 0.0 else {}
+    values = {name: ActionValues(one, target, gamma=recipe.gamma, futures=recipe.futures) for name, target in judged.items()}
     if recipe.minari:
         check_minari()
     aside = folder.with_name(f".{folder.name}.{secrets.token_hex(8)}.part")
@@ -154,7 +156,8 @@ def _write_starts(folder: Path, env: SatelliteTasking, recipe: Recipe, progress:
     for first in range(0, len(recipe.seeds), env.num_envs):
         progress(f"returns of the targets: episode {first} of {len(recipe.seeds)}")
         seeds = recipe.seeds[first : first + env.num_envs]
-        part = first_observations(env, seeds)
+        observed = start_episodes(env, seeds).select(*env.observation_spec.keys(True, True))
+        part = observed[: len(seeds)].cpu().clone()
         part[SEED] = torch.tensor(seeds)
         for name, target in recipe.targets.items():
             part[TARGET_ACTION, name] = target(part.select(*target.in_keys).to(env.device))["action"].cpu()
