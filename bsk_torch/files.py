@@ -6,7 +6,9 @@ import os
 import re
 import secrets
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
+from math import isfinite
 from pathlib import Path
 
 PART = re.compile(r"\..+\.[0-9a-f]{16}\.part")
@@ -39,6 +41,11 @@ def write_file(path: Path | str, content: bytes | str) -> None:
         if isinstance(error, OSError):
             raise OSError(error.errno, f"cannot be written: {error.strerror}", str(path)) from error
         raise
+
+
+def finite(values: Sequence[float]) -> list[float | None]:
+    """Return numbers for JSON, with None for NaN and infinity, which JSON has not."""
+    return [value if isfinite(value) else None for value in values]
 
 
 def unwritable(folder: Path) -> str | None:

@@ -79,7 +79,7 @@ def read_tle(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
             title = name[1] if name else ""
             element_sets.append((first[0], _set(text, title, first, (number, line), gravity, max_age_days)))
             first = name = None
-        elif re.match(r"1 [ A-Z0-9]{5}", line) and (len(line) > 24 or not _may_be_name(line)):
+        elif re.match(r"1 [ A-Z0-9]{5}", line) and (len(line) > 24 or re.match(r"1 [A-Z0-9 ]{5}[UCS] ", line)):
             first = number, line
         elif line.startswith("2 ") and len(line) > 24:
             text.fail(number, f"{line[:20]!r} is the second line of a set without its first line")
@@ -93,10 +93,6 @@ def read_tle(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
         text.fail(name[0], f"{name[1][:20]!r} has no set; two lines that begin with '1 ' and '2 ' must follow")
     check_satellites(text, [(number, elements.name, elements.norad_id) for number, elements in element_sets])
     return [elements for _, elements in element_sets]
-
-
-def _may_be_name(line: str) -> bool:
-    return not re.match(r"1 [A-Z0-9 ]{5}[UCS] ", line)
 
 
 def _set(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable
 
 import torch
@@ -145,8 +144,3 @@ class Futures:
 
 def _following(numbers: Iterable[int]) -> int:
     return max(numbers, default=-1) + 1
-
-
-def finite(values: list[float]) -> list[float | None]:
-    """Return values for JSON, with None for NaN."""
-    return [value if math.isfinite(value) else None for value in values]

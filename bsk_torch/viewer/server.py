@@ -17,6 +17,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -24,9 +25,10 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from bsk_torch._checks import whole
+from bsk_torch.files import finite
 from bsk_torch.recording.recording import Recording
 from bsk_torch.untrusted import Json, parse_json
-from bsk_torch.viewer.futures import Futures, finite
+from bsk_torch.viewer.futures import Futures
 from bsk_torch.viewer.page import build_page
 
 __all__ = ["PORT", "serve"]
@@ -236,7 +238,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not hmac.compare_digest(token.encode(), self.server.token.encode()):
             raise _RejectedError(HTTPStatus.FORBIDDEN, "the address needs the token that bsk-torch view printed")
 
-    def _answer(self, answers: dict[str, Any]) -> None:
+    def _answer(self, answers: Mapping[str, Callable[[], _Answer]]) -> None:
         try:
             self._check()
             path = urlsplit(self.path).path

@@ -20,6 +20,7 @@ from typing_extensions import Unpack
 
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
+from bsk_torch.files import finite
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
 from bsk_torch.lab.planners.planner import check_no_planner
@@ -170,9 +171,9 @@ class Audit:
             "action": self.action.tolist(),
             "kind": self.kind(self.action),
             "regret": self.regret.tolist(),
-            "values": [_or_none(row) for row in self.values.mean(1).tolist()],
+            "values": [finite(row) for row in self.values.mean(1).tolist()],
         }
-        situation = {name: _or_none(value.tolist()) for name, value in self.situation.items()}
+        situation = {name: finite(value.tolist()) for name, value in self.situation.items()}
         return {
             "seeds": list(self.seeds),
             "returns": self.returns.tolist(),
@@ -282,8 +283,3 @@ def _best(value: Tensor, chosen: Tensor) -> Tensor:
 
 def _at(value: Tensor, action: Tensor) -> Tensor:
     return value.gather(1, action.unsqueeze(1)).squeeze(1)
-
-
-def _or_none(row: Sequence[float]) -> list[float | None]:
-    """Return the numbers of a row with None for NaN, which JSON has not."""
-    return [None if value != value else value for value in row]
