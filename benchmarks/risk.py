@@ -19,6 +19,7 @@ from typing import Any
 
 import harness
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 import bsk_torch
@@ -28,7 +29,7 @@ from bsk_torch.lab.risk.estimate import METHODS, SUBSET, Risk, interval, learned
 from bsk_torch.lab.risk.rare_events import rare_event
 from bsk_torch.lab.risk.rare_flights import Flights
 from bsk_torch.lab.risk.screened import ScreenedSampling
-from bsk_torch.lab.risk.subset import Flown, SubsetSimulation, Tally
+from bsk_torch.lab.risk.subset import SubsetSimulation, Tally
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.statistics import wilson
 from bsk_torch.rl.policies.pretrained import pretrained_file
@@ -90,9 +91,10 @@ def known(probability: float, options: Any, seed: int) -> tuple[Tensor, Tally]:
     """Return estimates [R] of a known probability, and their cost."""
     limit = NormalDist().inv_cdf(1.0 - probability)
 
-    def fly(seeds: Tensor) -> Flown:
+    def fly(seeds: Tensor) -> TensorDict:
         total = terms(seeds).sum(1) / TERMS**0.5
-        return Flown(torch.where(total > limit, torch.inf, total), torch.ones_like(total), {})
+        level = torch.where(total > limit, torch.inf, total)
+        return TensorDict({"level": level, "seconds": torch.ones_like(total)}, total.shape)
 
     if options.method == SUBSET:
         simulation = SubsetSimulation(fly, options.episodes, seed)
@@ -147,7 +149,7 @@ def independent(env: Tasking, policy: Base, question: Question, episodes: int) -
     env.reset()
     clock = time.process_time()
     flown = Flights(env, base_of(policy, env), rare_event(env, question.event, None))(torch.arange(episodes) + FRESH)
-    seen = int((flown.level == torch.inf).sum())
+    seen = int((flown["level"] == torch.inf).sum())
     low, high = wilson(seen, episodes)
     return {
         "episodes": episodes,
@@ -155,7 +157,7 @@ def independent(env: Tasking, policy: Base, question: Question, episodes: int) -
         "mean": seen / episodes,
         "low": low,
         "high": high,
-        "seconds": float(flown.seconds.sum()),
+        "seconds": float(flown["seconds"].sum()),
         "cpu": time.process_time() - clock,
     }
 

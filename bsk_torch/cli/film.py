@@ -18,9 +18,8 @@ from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
 
 if TYPE_CHECKING:
-    from tensordict.nn import TensorDictModuleBase
-
     from bsk_torch.env import Tasking
+    from bsk_torch.env.rollout import Policy
 
 FILMS = (".gif", ".webp", ".mp4")
 """What the names of films end with."""
@@ -55,7 +54,7 @@ def film(
     """
     from bsk_torch.cli.policies import named_actor
     from bsk_torch.env import ConstellationTasking
-    from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
+    from bsk_torch.rl.evaluation.evaluate import with_lots
 
     check_file("--out", out, (*FILMS, *PICTURES))
     extra("bsk_torch.viz.render.frames")
@@ -70,14 +69,13 @@ def film(
             pictures.draw(pictures.record(actor, env, seed=seed), out, f"{named.preset}, seed {seed}, {named.label}")
         content = "the whole episode"
     else:
-        player = with_lots(actor, env) if LOT in actor.in_keys else actor
-        shots = frames(env, player, seed, until, height)
+        shots = frames(env, with_lots(actor, env), seed, until, height)
         content = f"{save_mp4(shots, out, fps) if out.suffix == '.mp4' else save_animation(shots, out, fps)} frames"
     seconds, earned, lost = float(env.fleet.sim_time[0]), float(env.returns[0]), int(env.dead[0].sum())
     echo(f"{out}: {content}, {seconds:,.0f} s of {named.preset}, return {earned:.3f}, satellites lost: {lost}")
 
 
-def frames(env: Tasking, policy: TensorDictModuleBase, seed: int, until: float | None, height: int) -> Iterator[Frame]:
+def frames(env: Tasking, policy: Policy, seed: int, until: float | None, height: int) -> Iterator[Frame]:
     """Yield a picture of the start of the first episode of ``seed``, and one after each decision, for ``until`` seconds."""
     from bsk_torch.env.rollout import play_episodes
 

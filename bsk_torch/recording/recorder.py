@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -66,6 +66,9 @@ BAD: dict[str, Literal["low", "high"]] = {
 """Which values of a quantity endanger a satellite."""
 
 
+Change = Callable[[int, TensorDictBase], None]
+"""Function of a step's number and tensordict."""
+
 EVENT_COLUMNS = {"event_time": "f8", "event_satellite": "i4", "event_target": "i4", "event_kind": "i4"}
 COLUMNS = {"time": "f8", "satellite": "i4", "action": "i4", "target": "i4", "reward": "f8", "task": "i4", "priority": "f8"}
 """Types of the arrays of decisions that hold a number for each."""
@@ -116,7 +119,6 @@ class _Noted:
 
     times: list[float] = field(default_factory=list)
     sun_N: list[Tensor] = field(default_factory=list)
-    returns: list[float] = field(default_factory=list)
     rewards: list[Tensor] = field(default_factory=list)
     r_P: list[Tensor] = field(default_factory=list)
     quantities: list[dict[str, Tensor]] = field(default_factory=list)
@@ -146,7 +148,7 @@ class Flight:
         seed: int,
         until: float | None = None,
         past: list[TensorDictBase] | None = None,
-        change: Callable[[int, TensorDictBase], None] | None = None,
+        change: Change | None = None,
     ) -> Flown:
         """Play the first episode of ``seed`` with the most probable actions.
 
@@ -154,12 +156,11 @@ class Flight:
             seed: The seed.
             until: Time after which no step begins, s; None for the end of the episode.
             past: Actions of the first steps, instead of the policy's.
-            change: Function of a step's number and tensordict, which may change its actions.
+            change: May change the actions of a step.
         """
         env = self.env
         env.set_seed(seed)
         start = env.reset()
-        player: Policy = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
         self.targets = targets_of(env)
         self.scene = scene_of(env, seed, self.targets)
         self.highest = self.targets.priority
@@ -168,13 +169,13 @@ class Flight:
         names = ["r_BN_N", "v_BN_N", "sigma_BN", RELATIVE, "rho_dot_H", "illumination", "station_access", *FIELDS.values()]
         playing = torch.arange(env.batch_size[0], device=env.device) == 0
         with env.record([name for name in names if name in fields], rows=0) as recording:
-            for _, step in play_episodes(env, self._player(player, past or [], change), start, playing):
+            for _, step in play_episodes(env, self._player(with_lots(self.policy, env), past or [], change), start, playing):
                 self._note(step)
                 if until is not None and self.noted.times[-1] >= until:
                     break
         return Flown(track=self._track(recording.of(0)), seed=seed, actions=self.actions, choices=self.choices)
 
-    def _player(self, policy: Policy, past: list[TensorDictBase], change: Any) -> Policy:
+    def _player(self, policy: Policy, past: list[TensorDictBase], change: Change | None) -> Policy:
         env = self.env
         keys: list[object] = [(g.name, "action") for g in env.groups] if isinstance(env, ConstellationTasking) else ["action"]
 
@@ -204,7 +205,6 @@ class Flight:
         env, noted = self.env, self.noted
         noted.times.append(float(env.fleet.sim_time[0]))
         noted.sun_N.append(_sun(env))
-        noted.returns.append(float(env.returns[0]))
         noted.quantities.append(quantities(env.fleet))
         if not is_relative(env):
             noted.r_P.append(env.fleet.each(lambda part: part.dynamics.r_BN_P)[0].cpu())
@@ -605,7 +605,7 @@ def _scaled(time: Array, chosen: Array, values: Array, boundaries: Array, fracti
     return fractions
 
 
-def _sorted_columns(rows: list[Any], kinds: dict[str, str]) -> dict[str, Array]:
+def _sorted_columns(rows: Sequence[tuple[float, ...]], kinds: dict[str, str]) -> dict[str, Array]:
     """Rows in their order as arrays by name, of the types ``kinds``."""
     columns: list[object] = list(zip(*sorted(rows), strict=True)) or [()] * len(kinds)
     return {name: np.array(column, kind) for (name, kind), column in zip(kinds.items(), columns, strict=True)}
@@ -640,7 +640,7 @@ def _spans(times: Array, holds: Array) -> list[tuple[float, float]]:
     return [(float(times[a]), float(times[min(b, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _flat(observed: Any) -> list[float]:
+def _flat(observed: Tensor | TensorDictBase) -> list[float]:
     """Numbers of an observation, in the order of their names."""
     if isinstance(observed, Tensor):
         return list(observed.double().flatten().tolist())

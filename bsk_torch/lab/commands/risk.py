@@ -177,6 +177,6 @@ def draw_way(risk: Risk, named: NamedPolicy, options: Mapping[str, object], path
     with working("drawing"), blended(typical.blend()):
         one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
         episode = extra("bsk_torch.viz.episodes").record(script(torch.tensor(risk.actions[0])[None, :, 0]), one, seed=seed)
-    moment = float(typical.flown.notes["time"][0])
+    moment = float(typical.flown["time"][0])
     figure.timeline(episode, path, f"{named.preset}, {named.label}: {risk.event}", [(moment, risk.event)])
     echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {risk.ways[0].time[1]:,.0f} s")

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
-from math import isnan
 from typing import Any, NamedTuple
 
 import torch
@@ -19,6 +18,7 @@ from torch import Tensor
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
+from bsk_torch.files import finite
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
 from bsk_torch.lab.planners.branches import check_copyable
@@ -171,26 +171,23 @@ class Risk:
 
     def to_dict(self) -> dict[str, object]:
         """Return everything but the episodes, for JSON."""
-        finite = self.error < float("inf")
+        error, highest, saved = finite([self.error, self.highest, self.saved])
         return {
             "event": self.event,
             "probability": self.probability._asdict(),
             "estimates": self.estimates.tolist(),
-            "relative_error": self.error if finite else None,
+            "relative_error": error,
             "thresholds": self.thresholds,
             "steps": self.steps,
             "shares": self.shares.mean(0).tolist(),
             "why": self.why,
-            "highest_level": self.highest if abs(self.highest) < float("inf") else None,
-            "screening": self.screening
-            and asdict(self.screening) | {"largest": None if isnan(self.screening.largest) else self.screening.largest},
+            "highest_level": highest,
+            "screening": self.screening and asdict(self.screening) | {"largest": finite([self.screening.largest])[0]},
             **asdict(self.tally),
             "seconds_per_episode": self.seconds,
-            "saved": self.saved if finite and self.error > 0.0 else None,
+            "saved": saved,
             "ways": [asdict(way) | {"seed": int(self.sample.seeds[way.row])} for way in self.ways],
-            "shifts": [
-                {"name": s.name, "larger": s.larger, "event": _finite(s.event), "all": _finite(s.all)} for s in self.shifts
-            ],
+            "shifts": [{"name": s.name, "larger": s.larger, "event": finite(s.event), "all": finite(s.all)} for s in self.shifts],
         }
 
 
@@ -282,7 +279,7 @@ def _probability(repeated: Repetitions) -> Interval:
     """
     estimates, n = repeated.estimates, len(repeated.first.seeds)
     if repeated.shares.shape[1] == 1:  # independent episodes only
-        count = int((repeated.first.flown.level == torch.inf).sum())
+        count = int((repeated.first.level == torch.inf).sum())
         low, high = wilson(count, n)
         return Interval(count / n, low, high) if count else Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / n))
     if bool((estimates > 0.0).any()):
@@ -293,11 +290,11 @@ def _probability(repeated: Repetitions) -> Interval:
 def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float, repetitions: int) -> Risk:
     climb = simulation.climb(smallest)
     if climb.why == STUCK:
-        simulation.tell(f"the level does not rise above {float(climb.last.flown.level.max()):.4g}")
+        simulation.tell(f"the level does not rise above {float(climb.last.level.max()):.4g}")
     repeated = simulation.repeat(climb.stages, repetitions)
     last = repeated.last
-    rows = torch.nonzero(last.flown.level == torch.inf).squeeze(1)
-    finite = climb.last.flown.level[climb.last.flown.level < torch.inf]
+    rows = torch.nonzero(last.level == torch.inf).squeeze(1)
+    levels = climb.last.level[climb.last.level < torch.inf]
     return Risk(
         event=flights.event.title,
         probability=_probability(repeated),
@@ -306,7 +303,7 @@ def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float,
         steps=[stage.step for stage in climb.stages],
         shares=repeated.shares,
         why=climb.why,
-        highest=float(finite.max()) if len(finite) else float("inf"),
+        highest=float(levels.max()) if len(levels) else float("inf"),
         tally=simulation.tally,
         **_described(flights, last.take(rows), repeated.reached[repeated.repetition[rows]], repeated.first),
     )
@@ -343,14 +340,14 @@ def _described(flights: Flights, sample: Sample, weight: Tensor, first: Sample) 
     ``sample`` [n] are the episodes with the event, ``weight`` [n] their weights up to a factor, ``first`` independent episodes.
     """
     weight = weight / weight.sum().clamp(min=torch.finfo(torch.float64).tiny)
-    everywhere = first.flown.notes[DRAWN]
-    shifts = [] if not len(weight) else _shifts(flights.columns, sample.flown.notes[DRAWN], weight, everywhere)
+    everywhere = first.flown[DRAWN]
+    shifts = [] if not len(weight) else _shifts(flights.columns, sample.flown[DRAWN], weight, everywhere)
     ways = _ways(flights, sample, weight, everywhere, shifts)
     typical = sample.take(torch.tensor([way.row for way in ways], dtype=torch.int64))
     with blended(typical.blend()) if ways else nullcontext():
         actions = flights.actions(typical.seeds) if ways else []
     return dict(
-        seconds=float(first.flown.seconds.mean()),
+        seconds=float(first.flown["seconds"].mean()),
         sample=sample,
         weight=weight,
         ways=ways,
@@ -394,22 +391,17 @@ def _ways(flights: Flights, sample: Sample, weight: Tensor, everywhere: Tensor, 
     """
     if not len(sample.seeds):
         return []
-    failed, importance = sample.flown.notes[FAILED], {shift.name: abs(shift.larger - 0.5) for shift in shifts}
+    failed, importance = sample.flown[FAILED], {shift.name: abs(shift.larger - 0.5) for shift in shifts}
     ranks = [
         _rank(values, reference) * importance[name]
-        for name, values, reference in zip(flights.columns, sample.flown.notes[DRAWN].T, everywhere.T, strict=True)
+        for name, values, reference in zip(flights.columns, sample.flown[DRAWN].T, everywhere.T, strict=True)
     ]
     place = torch.stack(ranks, 1) if ranks else torch.zeros(len(weight), 1, dtype=torch.float64)
     ways = []
     for kind in failed.unique(dim=0):
         rows = torch.nonzero((failed == kind).all(1)).squeeze(1)
         off = (place[rows] - place[rows].median(0).values).abs().sum(1)
-        time, share = sample.flown.notes[TIME][rows], weight[rows]
+        time, share = sample.flown[TIME][rows], weight[rows]
         cause = tuple(name for name, wrong in zip(flights.checks, kind.tolist(), strict=True) if wrong)
         ways.append(Way(cause, float(share.sum()), _quantiles(time, share / share.sum()), int(rows[off.argmin()])))
     return sorted(ways, key=lambda way: -way.share)
-
-
-def _finite(values: Sequence[float]) -> list[float | None]:
-    """Return numbers for JSON, with None for infinity, such as the time of a fault that never begins."""
-    return [value if abs(value) < float("inf") else None for value in values]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import torch
 from annotated_types import Interval, MinLen
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
@@ -21,10 +21,9 @@ from bsk_torch.files import write_file
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.risk.drawn import drawn_arguments, drawn_of_seeds, suns
 from bsk_torch.lab.risk.rare_events import RareEvent
-from bsk_torch.lab.risk.subset import Flown, Sample
+from bsk_torch.lab.risk.subset import Sample
 from bsk_torch.rand import Blend, blended
 from bsk_torch.rl.evaluation.evaluate import failed_checks, of_team, start_episodes, with_lots
-from bsk_torch.rl.rules.baselines import LOT
 from bsk_torch.untrusted import Json, parse_json, read_bytes
 
 FAILED, TIME, DRAWN, RETURNS = "failed", "time", "drawn", "returns"
@@ -49,51 +48,46 @@ class Flights:
     checks: list[str] = field(default_factory=list)
     columns: list[str] = field(default_factory=list)
 
-    def _player(self) -> TensorDictModuleBase:
-        """Return the policy with a new stream of lots, so that flights do not depend on earlier ones."""
-        return with_lots(self.policy, self.env) if LOT in self.policy.in_keys else self.policy
-
-    def __call__(self, seeds: Tensor) -> Flown:
+    def __call__(self, seeds: Tensor) -> TensorDict:
         """Play the episodes of ``seeds`` [m]; see :data:`bsk_torch.lab.risk.subset.Fly`."""
-        parts = [self._fly(some) for some in seeds.split(self.env.num_envs)]
-        notes = {name: torch.cat([part.notes[name] for part in parts]) for name in parts[0].notes}
-        return Flown(torch.cat([part.level for part in parts]), torch.cat([part.seconds for part in parts]), notes)
+        return torch.cat([self._fly(some) for some in seeds.split(self.env.num_envs)])
 
-    def _fly(self, seeds: Tensor) -> Flown:
+    def _fly(self, seeds: Tensor) -> TensorDict:
         env, m = self.env, len(seeds)
         start = start_episodes(env, seeds.tolist())
         names, values = drawn_arguments(env)
         rows = torch.arange(env.num_envs, device=env.device) < m
         level, happened = self.event.level(env), self.event.happens(env)
         time = torch.where(happened, env.fleet.sim_time, torch.nan)
-        for playing, _ in play_episodes(env, self._player(), start, rows):
+        for playing, _ in play_episodes(env, with_lots(self.policy, env), start, rows):
             level = torch.where(playing, torch.maximum(level, self.event.level(env)), level)
             now = playing & ~happened & self.event.happens(env)
             happened, time = happened | now, torch.where(now, env.fleet.sim_time, time)
         failed = {name: of_team(each) > 0 for name, each in failed_checks(env).items()}
         self.checks, self.columns = list(failed), names
-        notes = {
+        results = {
+            "level": torch.where(happened, torch.inf, level),
+            "seconds": env.fleet.sim_time.clone(),
             FAILED: torch.stack(list(failed.values()), 1) & env.dead.view(len(rows), -1).any(1, keepdim=True),
             TIME: time,
             DRAWN: values,
             RETURNS: env.returns.clone(),
         }
-        level = torch.where(happened, torch.inf, level)
-        return Flown(level[:m].cpu(), env.fleet.sim_time[:m].cpu(), {name: value[:m].cpu() for name, value in notes.items()})
+        return TensorDict(results, [len(rows)])[:m].cpu()
 
     def draws(self, seeds: Tensor) -> Tensor:
         """Return what is drawn at reset for ``seeds`` [m] without a reset, and the Sun's directions, [m, D + 3 S]."""
         names, values = drawn_of_seeds(self.env, seeds)
         return torch.cat([values, suns(names, values)], 1)
 
-    def actions(self, seeds: Tensor) -> list[list[Any]]:
+    def actions(self, seeds: Tensor) -> list[list[object]]:
         """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
         env, slots, episodes = self.env, AgentTable(self.env), list[list[object]]()
         for some in seeds.split(env.num_envs):
             decisions: list[list[object]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())
             rows = torch.arange(env.num_envs, device=env.device) < len(some)
-            for playing, step in play_episodes(env, self._player(), start, rows):
+            for playing, step in play_episodes(env, with_lots(self.policy, env), start, rows):
                 chosen = slots.numbers(step) if any(slots.real) else slots.chosen(step)
                 for row in torch.nonzero(playing).squeeze(1).tolist():
                     decisions[row].append(chosen[row].tolist())
@@ -150,8 +144,8 @@ def save_paths(path: Path | str, about: Mapping[str, object], sample: Sample, ac
     for k, seed in enumerate(sample.seeds.tolist()):
         mask = sample.steps[k] != 0.0
         blend = {name: getattr(sample, name)[k, mask].tolist() for name in TABLES}
-        time = float(sample.flown.notes[TIME][k])
-        outcome = {"time": None if isnan(time) else time, "return": float(sample.flown.notes[RETURNS][k])}
+        time = float(sample.flown[TIME][k])
+        outcome = {"time": None if isnan(time) else time, "return": float(sample.flown[RETURNS][k])}
         lines.append({"seed": seed, **blend, **outcome, "actions": actions[k]})
     head = ",\n ".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in {"kind": KIND, **about}.items())
     entries = ",\n  ".join(json.dumps(line) for line in lines)

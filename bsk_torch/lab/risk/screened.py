@@ -118,7 +118,7 @@ class ScreenedSampling:
             count = (self.learned - size) * (k + 1) // ROUNDS - (self.learned - size) * k // ROUNDS
             if not count:
                 continue
-            self.tell(f"learning, round {k + 1} of {ROUNDS}: highest level {float(sample.flown.level.max()):.4g}")
+            self.tell(f"learning, round {k + 1} of {ROUNDS}: highest level {float(sample.level.max()):.4g}")
             surrogate, level = self._fitted(sample, k)
             seeds = self._seeds("round", k, max(count, self.pool >> (ROUNDS - 1 - k)))
             predicted = self._predicted(surrogate, seeds)
@@ -132,10 +132,10 @@ class ScreenedSampling:
         variance = float(level[:n].var())
         return Screen(
             surrogate=surrogate,
-            chance=chance(surrogate, sample.flown.level, threshold),
+            chance=chance(surrogate, sample.level, threshold),
             first=first,
             explained=max(0.0, 1.0 - float(errors.square().mean()) / variance) if variance > 0.0 else 0.0,
-            events=int((sample.flown.level == torch.inf).sum()),
+            events=int((sample.level == torch.inf).sum()),
             highest=float(level.max()),
         )
 
@@ -149,7 +149,7 @@ class ScreenedSampling:
             lots = self._lots("repetition, choice", k, self.size)
             index, inclusion = _choose(predicted, screen.chance(predicted), self.size, lots)
             sample = self._play(seeds[index])
-            rows = torch.nonzero(sample.flown.level == torch.inf).squeeze(1)
+            rows = torch.nonzero(sample.level == torch.inf).squeeze(1)
             weights.append(1.0 / (self.pool * inclusion[rows]))
             parts.append(sample.take(rows))
             estimates.append(weights[-1].sum())
@@ -157,7 +157,7 @@ class ScreenedSampling:
 
     def _fitted(self, sample: Sample, k: int) -> tuple[Surrogate, Tensor]:
         """Return the surrogate of the episodes, and their levels [n], the largest finite one for those with the event."""
-        level = sample.flown.level.clamp(max=largest_finite(sample.flown.level))
+        level = sample.level.clamp(max=largest_finite(sample.level))
         values = self.draws(sample.seeds)
         return fitted(values, level, self._lots("fit", k, len(level))[: len(level)]), level
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 from bsk_torch.rand import Blend, Key, blended
@@ -42,22 +42,11 @@ SMALLEST_STEP, FIRST_STEP = 0.01, 0.7
 """Smallest size of steps, and that of the first ones; at 1, episodes are drawn independently."""
 
 
-class Flown(NamedTuple):
-    """Results of m episodes.
+Fly = Callable[[Tensor], TensorDict]
+"""Plays the episodes of seeds [m]; all random numbers are drawn from keys of these seeds (:class:`bsk_torch.rand.Key`).
 
-    Attributes:
-        level: Largest level, [m]; infinity where the event has happened.
-        seconds: Simulated time, [m] s.
-        notes: Whatever else is to be kept of each episode, [m, ...] by name.
-    """
-
-    level: Tensor
-    seconds: Tensor
-    notes: dict[str, Tensor]
-
-
-Fly = Callable[[Tensor], Flown]
-"""Plays the episodes of seeds [m]; all random numbers are drawn from keys of these seeds (:class:`bsk_torch.rand.Key`)."""
+Results are the largest ``level`` [m], infinite where the event has happened, the simulated time ``seconds`` [m] s, and whatever
+else is to be kept of each episode."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +56,22 @@ class Sample:
     Attributes:
         seeds: Their seeds, [n].
         parts: Seeds whose random numbers they blend, with ``steps`` and ``shares``, [n, J]; see :class:`bsk_torch.rand.Blend`.
-        flown: Their results.
+        flown: Their results, [n]; see :data:`Fly`.
     """
 
     seeds: Tensor
     parts: Tensor
     steps: Tensor
     shares: Tensor
-    flown: Flown
+    flown: TensorDict
+
+    @property
+    def level(self) -> Tensor:
+        """Largest level of each episode, [n]."""
+        return self.flown["level"]
 
     @staticmethod
-    def independent(seeds: Tensor, flown: Flown) -> Sample:
+    def independent(seeds: Tensor, flown: TensorDict) -> Sample:
         """Return the episodes of seeds [n] that blend no others."""
         blank = torch.ones(len(seeds), 1, dtype=torch.float64)
         return Sample(seeds, seeds.unsqueeze(1), blank, blank, flown)
@@ -88,9 +82,8 @@ class Sample:
 
     def take(self, rows: Tensor) -> Sample:
         """Return the episodes ``rows`` [m], without parts that none of them has."""
-        level, seconds, notes = self.flown
-        flown = Flown(level[rows], seconds[rows], {name: value[rows] for name, value in notes.items()})
-        return Sample(self.seeds[rows], *_packed(self.parts[rows], self.steps[rows], self.shares[rows]), flown)
+        tables = _packed(self.parts[rows], self.steps[rows], self.shares[rows])
+        return Sample(self.seeds[rows], *tables, self.flown[rows])
 
     def where(self, better: Tensor, other: Sample) -> Sample:
         """Return the episodes of ``other`` where ``better`` [n], and these elsewhere."""
@@ -100,15 +93,12 @@ class Sample:
     def joined(*samples: Sample) -> Sample:
         """Return the episodes of all samples, in order."""
         width = max(sample.parts.shape[1] for sample in samples)
-        tables = [
+        parts, steps, shares = (
             torch.cat([torch.nn.functional.pad(getattr(sample, name), (0, width - sample.parts.shape[1])) for sample in samples])
             for name in ("parts", "steps", "shares")
-        ]
-        flights = [sample.flown for sample in samples]
-        notes = {name: torch.cat([flown.notes[name] for flown in flights]) for name in flights[0].notes}
-        flown = Flown(torch.cat([flown.level for flown in flights]), torch.cat([flown.seconds for flown in flights]), notes)
-        parts, steps, shares = tables
-        return Sample(torch.cat([sample.seeds for sample in samples]), parts, steps, shares, flown)
+        )
+        seeds, flown = (torch.cat([getattr(sample, name) for sample in samples]) for name in ("seeds", "flown"))
+        return Sample(seeds, parts, steps, shares, flown)
 
 
 def _packed(parts: Tensor, steps: Tensor, shares: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -140,10 +130,10 @@ class Tally:
     accepted: int = 0
     proposed: int = 0
 
-    def add(self, flown: Flown) -> None:
+    def add(self, flown: TensorDict) -> None:
         """Add flights."""
-        self.episodes += len(flown.seconds)
-        self.seconds += float(flown.seconds.sum())
+        self.episodes += len(flown["seconds"])
+        self.seconds += float(flown["seconds"].sum())
 
 
 @dataclass(frozen=True)
@@ -219,7 +209,7 @@ class SubsetSimulation:
         sample, stages, share = self._independent(1, "first run"), list[Stage](), 1.0
         count = self.size // CHAIN
         while True:
-            level = sample.flown.level.sort(descending=True).values
+            level = sample.level.sort(descending=True).values
             above = level[level > (stages[-1].threshold if stages else level[-1])]
             if not len(above):
                 return Climb(stages, sample, HAPPENS if bool(level[-1] == torch.inf) else STUCK)
@@ -228,7 +218,7 @@ class SubsetSimulation:
                 return Climb(stages, sample, HAPPENS)
             if share <= smallest:
                 return Climb(stages, sample, RARER)
-            rows = torch.nonzero(sample.flown.level >= threshold).squeeze(1)
+            rows = torch.nonzero(sample.level >= threshold).squeeze(1)
             share *= len(rows) / len(level)
             self.tell(f"first run: threshold {len(stages) + 1}, reached with a probability of {share:.0e}")
             starts = sample.take(_draw(rows, count, self._key("first run, starts", len(stages), 1)))
@@ -242,7 +232,7 @@ class SubsetSimulation:
         first, shares = sample, torch.zeros(count, len(stages) + 1, dtype=torch.float64)
         for k, stage in enumerate(stages):
             self.tell(f"{count} repetitions: threshold {k + 1} of {len(stages)}")
-            above = (sample.flown.level >= stage.threshold).view(-1, self.size)
+            above = (sample.level >= stage.threshold).view(-1, self.size)
             shares[repetition, k] = above.double().mean(1)
             going = torch.nonzero(above.any(1)).squeeze(1)
             repetition = repetition[going]
@@ -254,7 +244,7 @@ class SubsetSimulation:
                 for j, r in enumerate(going.tolist())
             ]
             sample, _ = self._chains(sample.take(torch.cat(starts)), stage, k, repetition)
-        shares[repetition, -1] = (sample.flown.level == torch.inf).view(-1, self.size).double().mean(1)
+        shares[repetition, -1] = (sample.level == torch.inf).view(-1, self.size).double().mean(1)
         return Repetitions(shares, first, sample, repetition.repeat_interleave(self.size))
 
     def _key(self, run: str, stage: int, count: int) -> Key:
@@ -265,7 +255,7 @@ class SubsetSimulation:
         seeds = (self._key(run, 0, count).uniform(self.size).flatten() * SEEDS).long()
         return Sample.independent(seeds, self._fly(seeds))
 
-    def _fly(self, seeds: Tensor) -> Flown:
+    def _fly(self, seeds: Tensor) -> TensorDict:
         flown = self.fly(seeds)
         self.tally.add(flown)
         return flown
@@ -284,7 +274,7 @@ class SubsetSimulation:
         for turn in range(1, CHAIN):
             lots = key.named(f"{key.name} {turn}").uniform(3 * len(starts.seeds) // len(key)).reshape(-1, 3)
             proposal = self._proposed(now, lots, step)
-            accepted = proposal.flown.level >= stage.threshold
+            accepted = proposal.level >= stage.threshold
             now = now.where(accepted, proposal)
             states.append(now)
             self.tally.proposed += len(accepted)

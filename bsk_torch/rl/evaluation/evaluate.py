@@ -158,7 +158,7 @@ def start_episodes(env: Tasking, seeds: Sequence[int]) -> TensorDictBase:
 
 def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase, n: int) -> Evaluation:
     """Play the first ``n`` rows from ``start`` to their ends, and return their results."""
-    player = with_lots(policy, env) if LOT in policy.in_keys else policy
+    player = with_lots(policy, env)
     rows = torch.arange(env.batch_size[0], device=env.device) < n
     decisions = torch.zeros_like(rows, dtype=torch.int64)
     simulated = torch.zeros_like(env.returns)
@@ -183,7 +183,12 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
 
 
 def with_lots(policy: Policy, env: Tasking) -> Policy:
-    """Return the policy with a :data:`LOT` at each decision, a uniform number that depends on the episode but not on its row."""
+    """Return a policy with a :data:`LOT` at each decision, a uniform number that depends on the episode but not on its row.
+
+    Policies whose ``in_keys`` do not have it are returned unchanged.
+    """
+    if LOT not in getattr(policy, "in_keys", (LOT,)):
+        return policy
     steps = itertools.count()
 
     def draw(tensordict: TensorDictBase) -> TensorDictBase:

@@ -25,7 +25,7 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
-from bsk_torch.rl.rules.baselines import LOT, TeamPolicy
+from bsk_torch.rl.rules.baselines import TeamPolicy
 from bsk_torch.tasks.aeos_bench.files import Cases
 from bsk_torch.tasks.aeos_bench.preset import aeos_bench
 from bsk_torch.tasks.aeos_bench.rules import TaskTeam, task_team
@@ -100,7 +100,7 @@ def assigned_tasks(policy: TensorDictModuleBase, env: ConstellationTasking, star
 
     Choices may hold for any number of seconds, and be among candidates.
     """
-    player = with_lots(policy, env) if LOT in policy.in_keys else policy
+    player = with_lots(policy, env)
     scenario, before = task_team(env).scenario, env.fleet.ticks.clone()
     tick = torch.arange(int(env.time_limit.max() / env.fleet.h), device=env.device)
     table = torch.full((*env.batch_size, len(tick), env.fleet.shape[1]), NO_TASK, device=env.device)

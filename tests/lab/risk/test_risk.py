@@ -39,7 +39,7 @@ def test_the_estimate_agrees_with_independent_episodes_whatever_the_batch(found)
     other = risk(scanning(7, 1200.0), "random", **SMALL)
     assert torch.equal(found.estimates, other.estimates)
     assert torch.equal(found.sample.seeds, other.sample.seeds)
-    assert torch.equal(found.sample.flown.notes[DRAWN], other.sample.flown.notes[DRAWN])
+    assert torch.equal(found.sample.flown[DRAWN], other.sample.flown[DRAWN])
     assert (found.ways, found.actions) == (other.ways, other.actions)
 
 
@@ -69,7 +69,7 @@ def test_screened_episodes_do_not_depend_on_the_batch_and_are_those_of_plain_see
     env = scanning(3, 1200.0)
     paths = screened.paths()
     again = evaluate(bsk_torch.rule("random", env), env, seeds=paths.seeds.tolist())
-    assert torch.equal(again.returns, paths.flown.notes[RETURNS])
+    assert torch.equal(again.returns, paths.flown[RETURNS])
 
 
 def test_the_ways_are_described(found):
@@ -89,12 +89,12 @@ def test_a_saved_episode_is_flown_again_with_its_actions_and_by_its_policy(found
     sample = found.paths()
     save_paths(path, {"preset": "NadirScan-v1"}, sample, found.actions)
     env = scanning(3, 1200.0)
-    assert torch.equal(play_again(env, path), sample.flown.notes[RETURNS])
+    assert torch.equal(play_again(env, path), sample.flown[RETURNS])
     content, blend = read_paths(path)
     assert content["preset"] == "NadirScan-v1"
     with blended(blend):
         again = evaluate(bsk_torch.rule("random", env), env, seeds=[content["episodes"][0]["seed"]])
-    assert torch.equal(again.returns, sample.flown.notes[RETURNS][:1])
+    assert torch.equal(again.returns, sample.flown[RETURNS][:1])
     path.write_text("{}")
     with pytest.raises(ValueError, match="is not a file of episodes written by 'bsk-torch risk'"):
         read_paths(path)
@@ -125,4 +125,4 @@ def test_faults_are_followed_too():
     env = bsk_torch.make("FaultyScan-v1", num_envs=20, env_ids=[0] * 20, time_limit=600.0, kinds=["battery"], chance=0.5)
     found = risk(env, "rule", event="battery_charge_fraction<0.31", episodes=40, repetitions=4)
     assert found.probability.mean > 0.0
-    assert found.sample.flown.notes[DRAWN][:, found.columns.index("battery.at")].isfinite().any()
+    assert found.sample.flown[DRAWN][:, found.columns.index("battery.at")].isfinite().any()

@@ -6,10 +6,10 @@ from statistics import NormalDist
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from bsk_torch.lab.risk.estimate import interval
 from bsk_torch.lab.risk.screened import BLIND, ScreenedSampling, _bernoulli, _choose, _proportional
-from bsk_torch.lab.risk.subset import Flown
 from bsk_torch.lab.risk.surrogate import TAIL, chance, fitted
 from bsk_torch.rand import Key
 
@@ -32,7 +32,8 @@ def flying(probability, noise, number=draws):
 
     def fly(seeds):
         total = (1.0 - noise**2) ** 0.5 * number(seeds).sum(1) / 2.0 + noise * normal(seeds, "noise").squeeze(1)
-        return Flown(torch.where(total > limit, torch.inf, total), torch.full_like(total, 2.0), {"total": total})
+        level = torch.where(total > limit, torch.inf, total)
+        return TensorDict({"level": level, "seconds": torch.full_like(total, 2.0), "total": total}, total.shape)
 
     return fly
 
@@ -55,7 +56,7 @@ def test_a_sum_of_drawn_numbers_exceeds_a_limit_as_often_as_it_must(probability,
     assert 1.0 / (probability * error**2) > sampling.tally.episodes
     assert sampling.tally.seconds == 2.0 * sampling.tally.episodes
     assert float(found.weight.sum()) == pytest.approx(mean)
-    assert bool((found.sample.flown.level == torch.inf).all())
+    assert bool((found.sample.level == torch.inf).all())
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
@@ -97,8 +98,7 @@ def test_repetitions_and_batches_do_not_depend_on_each_other():
 
     def one_by_one(seeds):
         parts = [fly(seed) for seed in seeds.split(1)]
-        notes = {"total": torch.cat([part.notes["total"] for part in parts])}
-        return Flown(torch.cat([part.level for part in parts]), torch.cat([part.seconds for part in parts]), notes)
+        return torch.cat(parts)
 
     other = ScreenedSampling(one_by_one, draws, 100, 2000, 80)
     assert torch.equal(other.repeat(other.learn(), 3).estimates, found.estimates)

@@ -5,9 +5,10 @@ from statistics import NormalDist
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from bsk_torch.lab.risk.estimate import interval
-from bsk_torch.lab.risk.subset import HAPPENS, RARER, STUCK, Flown, SubsetSimulation
+from bsk_torch.lab.risk.subset import HAPPENS, RARER, STUCK, SubsetSimulation
 from bsk_torch.rand import Blend, Key, blended
 
 SEEDS = torch.arange(20_000)
@@ -23,7 +24,8 @@ def sums(limit):
 
     def fly(seeds):
         total = sum(key_of(seeds, f"term {k}").normal(1).squeeze(1) for k in range(4)) / 2.0
-        return Flown(torch.where(total > limit, torch.inf, total), torch.full_like(total, 2.0), {"total": total})
+        level = torch.where(total > limit, torch.inf, total)
+        return TensorDict({"level": level, "seconds": torch.full_like(total, 2.0), "total": total}, total.shape)
 
     return fly
 
@@ -34,7 +36,8 @@ def walks(limit, steps=20):
     def fly(seeds):
         lots = [key_of(seeds, moment=torch.full_like(seeds, k)).uniform(1).squeeze(1) for k in range(steps)]
         end = sum(torch.where(lot < 0.5, -1.0, 1.0) for lot in lots).double()
-        return Flown(torch.where(end >= limit, torch.inf, end), torch.ones_like(end), {})
+        level = torch.where(end >= limit, torch.inf, end)
+        return TensorDict({"level": level, "seconds": torch.ones_like(end)}, end.shape)
 
     return fly
 
@@ -54,7 +57,7 @@ def test_a_sum_of_normal_numbers_exceeds_a_limit_as_often_as_it_must(probability
     assert probability / 2.0 < mean < 2.0 * probability
     assert simulation.tally.seconds == 2.0 * simulation.tally.episodes
     assert simulation.tally.episodes < 30_000
-    assert bool((found.last.flown.notes["total"] >= climb.stages[-1].threshold).all())
+    assert bool((found.last.flown["total"] >= climb.stages[-1].threshold).all())
 
 
 def test_a_random_walk_ends_far_out_as_often_as_it_must():
@@ -78,7 +81,7 @@ def test_estimates_have_no_bias():
 def test_events_that_never_happen_have_no_share_and_say_why():
     climb, found, _ = estimate(walks(21.0), smallest=1e-12, size=50, count=4)
     assert (climb.why, float(found.estimates.sum())) == (STUCK, 0.0)
-    assert float(climb.last.flown.level.max()) == 20.0
+    assert float(climb.last.level.max()) == 20.0
     climb, found, _ = estimate(sums(50.0), smallest=1e-3, size=50, count=4)
     assert climb.why == RARER
     assert 0.0 < float(found.reached.mean()) < 5e-3
@@ -97,8 +100,7 @@ def test_repetitions_and_batches_do_not_depend_on_each_other():
 
 
 def _joined(parts):
-    notes = {"total": torch.cat([part.notes["total"] for part in parts])}
-    return Flown(torch.cat([part.level for part in parts]), torch.cat([part.seconds for part in parts]), notes)
+    return torch.cat(parts)
 
 
 def table(step, share=1.0, parts=2):
