@@ -75,7 +75,7 @@ def read_regions(source: Path | str, name: str = "name", weight: str = "weight")
     return regions
 
 
-def _features(content: Any) -> list[Any]:
+def _features(content: Json) -> list[Json]:
     kind = _kind(content, "the file", ("FeatureCollection", "Feature", "Polygon", "MultiPolygon"))
     system = content.get("crs")
     if system is not None and not (isinstance(system, dict) and (system.get("properties") or {}).get("name") in WGS84):
@@ -93,7 +93,7 @@ def _features(content: Any) -> list[Any]:
     return features
 
 
-def _count(feature: Any) -> int:
+def _count(feature: Json) -> int:
     """Return the number of lists of numbers within a feature."""
     stack, count = [feature], 0
     while stack:
@@ -108,14 +108,14 @@ def _count(feature: Any) -> int:
     return count
 
 
-def _kind(value: Any, title: str, allowed: Sequence[str]) -> str:
+def _kind(value: Json, title: str, allowed: Sequence[str]) -> str:
     kind = value.get("type") if isinstance(value, dict) else None
     if kind not in allowed:
         raise ValueError(f"{title} has type {kind!r:.60}; allowed are {', '.join(allowed)}")
     return str(kind)
 
 
-def _region(k: int, feature: Any, name: str, weight: str) -> Region:
+def _region(k: int, feature: Json, name: str, weight: str) -> Region:
     title = f"feature {k}"
     _kind(feature, title, ("Feature",))
     properties = feature.get("properties") or {}
@@ -137,7 +137,7 @@ def _region(k: int, feature: Any, name: str, weight: str) -> Region:
     return Region(called or f"region-{k}", float(worth), _parts(title, polygons))
 
 
-def _parts(title: str, polygons: Sequence[Any]) -> tuple[Rings, ...]:
+def _parts(title: str, polygons: Sequence[Json]) -> tuple[Rings, ...]:
     """Return the polygons of a region, cut at the antimeridian."""
     shapely = import_shapely()
     shapes = [_shape(shapely, f"{title}, polygon {p}", rings) for p, rings in enumerate(polygons)]
@@ -155,7 +155,7 @@ def _parts(title: str, polygons: Sequence[Any]) -> tuple[Rings, ...]:
     return tuple(tuple(shapely.get_coordinates(ring) for ring in (part.exterior, *part.interiors)) for part in pieces_with_area)
 
 
-def _shape(shapely: Any, title: str, rings: Any) -> Any:
+def _shape(shapely: Any, title: str, rings: Json) -> Any:
     """Return a polygon of shapely, without jumps of longitude, from the rings of a file."""
     if not isinstance(rings, list) or not rings:
         raise ValueError(f"{title} is {rings!r:.60}; a list of rings is needed, the boundary first")
@@ -170,7 +170,7 @@ def _shape(shapely: Any, title: str, rings: Any) -> Any:
     return shape
 
 
-def _ring(title: str, ring: Any) -> np.ndarray:
+def _ring(title: str, ring: Json) -> np.ndarray:
     """Return the vertices of a ring as they are in the file, [V, 2] degrees."""
     if not isinstance(ring, list) or len(ring) < 4:
         size = f"has {len(ring)} vertices" if isinstance(ring, list) else f"is {ring!r:.60}"

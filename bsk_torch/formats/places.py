@@ -113,7 +113,7 @@ def read_geojson(source: str | Path) -> PlaceList:
             allowed.
     """
     text = read_source(source)
-    content: Any = parse_json(text.text.encode(), Json)
+    content: Json = parse_json(text.text.encode(), Json)
     features = content.get("features") if isinstance(content, dict) else None
     if not isinstance(features, list) or content.get("type") != "FeatureCollection":
         text.fail(None, "it must be a GeoJSON FeatureCollection")
@@ -121,7 +121,7 @@ def read_geojson(source: str | Path) -> PlaceList:
     return _places(text, records, any("priority" in values for _, _, values in records))
 
 
-def _point(text: Source, k: int, feature: Any) -> Record:
+def _point(text: Source, k: int, feature: Json) -> Record:
     title = f"feature {k}"
     geometry, properties = (feature.get(name) if isinstance(feature, dict) else None for name in ("geometry", "properties"))
     kind = geometry.get("type") if isinstance(geometry, dict) else None

@@ -140,7 +140,7 @@ def read_requests(path: str | Path, start: datetime | None = None) -> RequestTab
 
 
 def _json_entries(content: bytes) -> Iterator[Entry]:
-    data: Any = parse_json(content, Json)
+    data: Json = parse_json(content, Json)
     prefix = LISTS[0]
     if isinstance(data, dict):
         prefix = _list_name(list(data))

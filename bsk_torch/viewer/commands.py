@@ -6,7 +6,7 @@ import re
 import webbrowser
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -140,7 +140,7 @@ def _source(
     until: float | None,
     branch: list[str] | None,
     plan: list[str] | None,
-    options: dict[str, Any],
+    options: dict[str, object],
     trust: bool,
 ) -> object:
     """The flights to show: a recording, or flights with other futures."""

@@ -55,7 +55,7 @@ class Game:
         case = len(self.results)
         self.situation = start_episodes(self.env, [self.seeds[case]]) if case < len(self.seeds) else None
 
-    def observe(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, object]:
         """Return the situation of the present case, observations by name; where all cases have ended, only that they have."""
         if self.situation is None:
             return {"finished": True, "cases": len(self.seeds)}
@@ -91,7 +91,7 @@ class Game:
         return [self.names.index(action) for action in actions]
 
     @torch.no_grad()
-    def what_if(self, plans: Sequence[Sequence[str]]) -> list[dict[str, Any]]:
+    def what_if(self, plans: Sequence[Sequence[str]]) -> list[dict[str, object]]:
         """Fly each plan in a copy of the present case; return what becomes of them.
 
         A plan ends early with the episode, or before an action that is illegal at its time. ValueError for unknown actions.
@@ -129,7 +129,7 @@ class Game:
         ]
 
     @torch.no_grad()
-    def commit(self, actions: Sequence[str]) -> dict[str, Any]:
+    def commit(self, actions: Sequence[str]) -> dict[str, object]:
         """Take actions in the present case, one after the other, until it ends; the next case begins then.
 
         ValueError for unknown actions and one that is illegal at its time; those before it have been taken.
@@ -165,7 +165,7 @@ class Game:
         self._begin()
         return self.results[-1]
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> dict[str, object]:
         """Return the results of all cases that have ended, and their means."""
         n = len(self.results)
         sums = {"mean_return": sum(r["return"] for r in self.results), "survival": sum(r["alive"] for r in self.results)}

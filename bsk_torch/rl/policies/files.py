@@ -77,7 +77,7 @@ def save_policy(
         options: Changed options of the environment; only plain values are saved.
         training: What the training has cost, with the entries :data:`TRAINING`; None if unknown.
     """
-    card = {"bsk_torch": __version__, "preset": preset, "options": plain(options)}
+    card: dict[str, object] = {"bsk_torch": __version__, "preset": preset, "options": plain(options)}
     if lost := objects_in(options):
         card[OBJECTS] = lost
     if training is not None:
@@ -91,7 +91,7 @@ def save_policy(
     save_checksummed(path, card)
 
 
-def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
+def _described(plan: Plan, networks: Networks) -> dict[str, object]:
     kind = next(name for name, cls in PLANS.items() if type(plan) is cls)
     described = dataclasses.asdict(plan)
     if not described.get("bounds", True):

@@ -195,7 +195,7 @@ def contract_of(path: Path, content: str | bytes | None) -> Contract | None:
         content = read_bytes(separate, MOST_JSON)
     text = content.encode() if isinstance(content, str) else content
     try:
-        whole = parse_json(text, dict[str, Any])
+        whole = parse_json(text, dict[str, object])
         return parse_json(json.dumps({k: whole[k] for k in Contract.__annotations__ if k in whole}).encode(), Contract)
     except ValueError as error:
         raise ValueError(f"the contract of {str(path)!r} is damaged: {error}") from error

@@ -14,7 +14,7 @@ import re
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -173,7 +173,7 @@ def _screened(content: bytes) -> bytes:
                     raise ValueError(f"it has the entry {short!r:.80}")
                 data = archive.read(name)
                 if short.endswith(".json"):
-                    data = json.dumps(_cleaned(parse_json(data, dict[str, Any]))).encode()
+                    data = json.dumps(_cleaned(parse_json(data, dict[str, object]))).encode()
                 elif short.endswith(".pt"):
                     read_tensors(data)
                 copy.writestr(name, data)
@@ -189,7 +189,7 @@ def _cleaned(value: object, key: str = "") -> object:
     if key in REFUSED or (key == "use_pickle" and value):
         raise ValueError(f"it has {key}")
     if key in ("in_spec", "out_spec") and value:
-        return json.dumps(_cleaned(parse_json(str(value).encode(), list[Any])))
+        return json.dumps(_cleaned(parse_json(str(value).encode(), list[object])))
     if isinstance(value, dict):
         return {_cleaned(name): _cleaned(part, name) for name, part in value.items()}
     if isinstance(value, list):
@@ -238,7 +238,7 @@ def _named(names: Sequence[str], contract: Contract | None, part: Literal["input
     return named if len(named) == len(names) else list(names)
 
 
-def _names_of(spec: Any, names: Sequence[str]) -> list[str]:
+def _names_of(spec: pytree.TreeSpec, names: Sequence[str]) -> list[str]:
     """Return the names of outputs: keys of a dictionary, else those in the graph."""
     keys = list(spec.context) if spec.type is dict else []
     return keys if len(keys) == len(names) else list(names)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -52,7 +51,7 @@ def read_checkpoint(path: Path) -> Loaded:
         ) from error
     about = next(path / name for name in METADATA if (path / name).is_file())
     try:
-        release = parse_json(read_bytes(about, MOST_JSON), dict[str, Any]).get("ray_version", "")
+        release = parse_json(read_bytes(about, MOST_JSON), dict[str, object]).get("ray_version", "")
         module = RLModule.from_checkpoint(module_folder(path).absolute())
     except ValueError:
         raise
