@@ -172,7 +172,7 @@ def parse_yaml(content: bytes, schema: type[Schema]) -> Schema:
 
     node = read_yaml(content)
     try:
-        return _root(cast(Hashable, schema)).model_validate_json(json.dumps(_plain(node))).root
+        return _root(cast(Hashable, schema)).model_validate_json(json.dumps(plain(node))).root
     except ValidationError as error:
         first = error.errors(include_url=False)[0]["loc"] if error.error_count() <= MOST_ERRORS else ()
         raise ValueError(one_line(f"line {_line(node, first)}: {_reason(error)}")) from None
@@ -252,11 +252,11 @@ class _YamlReader:
         return self.constructor.construct_object(self.yaml.ScalarNode(tag, event.value))
 
 
-def _plain(node: Node) -> object:
+def plain(node: Node) -> object:
     """Return the value of a node in dictionaries and lists."""
     if isinstance(node.value, dict):
-        return {key: _plain(part) for key, part in node.value.items()}
-    return [_plain(part) for part in node.value] if isinstance(node.value, list) else node.value
+        return {key: plain(part) for key, part in node.value.items()}
+    return [plain(part) for part in node.value] if isinstance(node.value, list) else node.value
 
 
 def _line(node: Node, place: tuple[int | str, ...]) -> int:

@@ -39,10 +39,10 @@ def folder(tmp_path, monkeypatch):
 
 
 REFUSALS: list[tuple[str, int, list[str]]] = [
-    ("train NadirScan-v1 --frames 0", 1, ["frames=0 must be at least 1"]),
-    ("train NadirScan-v1 --frames -5", 1, ["frames=-5 must be at least 1"]),
-    ("train NadirScan-v1 --minutes inf", 1, ["seconds=inf must lie in (0, inf)"]),
-    (f"train NadirScan-v1 --seed {2**70}", 1, ["must be at most"]),
+    ("train NadirScan-v1 --frames 0", 1, ["frames=0 must be a whole number from 1"]),
+    ("train NadirScan-v1 --frames -5", 1, ["frames=-5 must be a whole number from 1"]),
+    ("train NadirScan-v1 --minutes inf", 1, ["seconds=inf must be a number in (0, inf)"]),
+    (f"train NadirScan-v1 --seed {2**70}", 1, ["must be a whole number from 0 to"]),
     (f"{SCAN} options.time_limt=1", 1, ["did you mean 'time_limit'"]),
     (f"{SCAN} options.foo=1", 1, ["unexpected keyword argument 'foo'"]),
     (f"{SCAN} --episodes 0 options.foo=1", 1, ["unexpected keyword argument 'foo'"]),
@@ -56,8 +56,8 @@ REFUSALS: list[tuple[str, int, list[str]]] = [
     (f"{SCAN} preset=AEOS-v1", 1, ["preset= is not a setting; give it as the first argument"]),
     (f"{SCAN} network=gru", 1, ["network= is not a setting; give it as --network"]),
     (f"{SCAN} learning_rat=1e-3", 1, ["did you mean 'learning_rate'"]),
-    (f"{SCAN} clip=-1", 1, ["clip=-1.0 must lie in (0, 1)"]),
-    (f"{SCAN} gamma=2", 1, ["must lie in (0, 1]"]),
+    (f"{SCAN} clip=-1", 1, ["clip=-1.0 must be a number in (0, 1]"]),
+    (f"{SCAN} gamma=2", 1, ["must be a number in (0, 1]"]),
     (f"{SCAN} hidden=[1", 1, ["flow sequence"]),
     (f"{SCAN} hidden=[a]", 1, ["could not be converted to Integer"]),
     (f"{SCAN} epochs=2 hidden=64", 1, ["hidden=64: ", "tuple[int, ...]"]),

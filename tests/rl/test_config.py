@@ -56,7 +56,7 @@ def test_rejects_files_of_others(tmp_path):
         read()
 
     wrong = [
-        ("hidden: [1\n", "parsing"),
+        ("hidden: [1\n", "line 2"),
         ("- 1\n", "settings by name"),
         ("\x00\x01", "configuration"),
         ("a: &a [1]\nb: *a\n", "aliases"),

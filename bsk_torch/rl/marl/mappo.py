@@ -298,20 +298,6 @@ class MAPPOLearner:
             )
 
     @property
-    def learning_rate(self) -> float:
-        """Present step of the optimizers."""
-        return self._first.learning_rate
-
-    @property
-    def entropy_coefficient(self) -> float:
-        """Present weight of the entropy."""
-        return self._first.entropy_coefficient
-
-    @property
-    def _first(self) -> GroupLearner:
-        return next(iter(self.groups.values()))
-
-    @property
     def policy(self) -> TensorDictModuleBase:
         """The current policy for one satellite, or those of all groups; it continues to learn during training."""
         return of_groups({name: group.policy for name, group in self.groups.items()})

@@ -15,6 +15,7 @@ import yaml
 from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from bsk_torch._checks import number, whole
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.seeds import episode_seed
 from bsk_torch.files import write_file
@@ -26,7 +27,7 @@ from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
 from bsk_torch.rl.policies.files import LOGS
 from bsk_torch.rl.training.imitation import check_teacher, enter_teacher
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.untrusted import read_bytes
+from bsk_torch.untrusted import plain, read_bytes, read_yaml
 
 logger = logging.getLogger(__name__)
 
@@ -77,24 +78,24 @@ LEAST_NUMBERS = {
 MOST = 2**62
 """Largest whole number of a setting, so that those computed from it fit into 64 bits."""
 
-INTERVALS = {
-    "seconds": "(0, inf)",
-    "learning_rate": "[0, 1]",
-    "gamma": "(0, 1]",
-    "lmbda": "[0, 1]",
-    "clip": "(0, 1)",
-    "entropy": "[0, inf)",
-    "gradient_norm": "(0, inf)",
-    "imitation": "(0, 1]",
-    "imitation_temperature": "[0, inf)",
+LIMITS = {
+    "seconds": (0.0, math.inf, True),
+    "learning_rate": (0.0, 1.0, False),
+    "gamma": (0.0, 1.0, True),
+    "lmbda": (0.0, 1.0, False),
+    "clip": (0.0, 1.0, True),
+    "entropy": (0.0, math.inf, False),
+    "gradient_norm": (0.0, math.inf, True),
+    "imitation": (0.0, 1.0, True),
+    "imitation_temperature": (0.0, math.inf, False),
 }
-"""Real-valued settings, and their allowed intervals."""
+"""Real-valued settings, their least and largest values, and whether the least is excluded."""
 
 WIDEST = 65_536
 """Maximum width of a hidden layer."""
 
-LONGEST, DEEPEST, MOST_VALUES = 1_000_000, 20, 10_000
-"""Maximum number of bytes, of nesting levels and of values in settings files."""
+LONGEST, MOST_VALUES = 1_000_000, 10_000
+"""Maximum number of bytes and of values in settings files."""
 
 RESERVED = {"num_envs": "num_envs", "seed": "seed", "env_ids": "num_envs"}
 """Arguments of the environment that are not options, and the settings that determine them."""
@@ -204,16 +205,18 @@ class PPOConfig:
             object.__setattr__(self, "evaluate_every", self._default_interval())
         check_network(str(self.network))
         for name, least in LEAST_NUMBERS.items():
-            _check_whole(name, getattr(self, name), least, MOST, optional=name in ("frames", "patience"))
-        for name, interval in INTERVALS.items():
-            _check_within(name, getattr(self, name), interval, optional=name == "seconds")
+            if getattr(self, name) is not None or name not in ("frames", "patience"):
+                object.__setattr__(self, name, whole(name, getattr(self, name), least, MOST))
+        for name, (low, high, above) in LIMITS.items():
+            if getattr(self, name) is not None or name != "seconds":
+                object.__setattr__(self, name, number(name, getattr(self, name), low, high, above=above))
         if callable(self.imitate):  # a rule of the user's; it has a name from here on
             object.__setattr__(self, "imitate", enter_teacher(self.imitate))
         if self.imitate is not None:
             check_teacher(self.imitate, self.imitation_temperature)
         check_layers(self.hidden)
         for width in self.hidden:
-            _check_whole("hidden", width, 1, WIDEST)
+            whole("hidden", width, 1, WIDEST)
         for name in ("stagger", "beyond_limit", "ahead"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name}={getattr(self, name)!r} must be True or False")
@@ -236,7 +239,7 @@ class PPOConfig:
     def _check_workers(self) -> None:
         if isinstance(self.workers, str):
             raise ValueError(f"workers={self.workers!r} must be a whole number or {AUTO!r}")
-        _check_whole("workers", self.workers, 1, MOST)
+        whole("workers", self.workers, 1, MOST)
         if self.ahead and self.collector == "single":
             raise ValueError("ahead=True collects in other processes: it needs collector='multi' or 'ray'")
         if self.num_envs % self.processes:
@@ -279,6 +282,11 @@ class PPOConfig:
         """Training time after which the training ends, s; None where decisions alone limit it."""
         return SECONDS if self.seconds is None and self.frames is None else self.seconds
 
+    def annealed(self, fraction: float) -> tuple[float, float]:
+        """Return learning rate and weight of the entropy at a used ``fraction`` of the budget."""
+        rate, entropy = SCHEDULES[self.learning_rate_schedule], SCHEDULES[self.entropy_schedule]
+        return self.learning_rate * rate(fraction), self.entropy * entropy(fraction)
+
     @property
     def batch(self) -> int:
         """Decisions between two updates."""
@@ -291,30 +299,6 @@ class PPOConfig:
 
 
 Config = TypeVar("Config", bound=PPOConfig)
-
-
-def _check_whole(name: str, value: object, least: int, most: int, optional: bool = False) -> None:
-    if value is None and optional:
-        return
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise ValueError(f"{name}={value!r} must be a whole number")
-    if value < least:
-        raise ValueError(f"{name}={value} must {f'be at least {least}' if least else 'not be negative'}")
-    if value > most:
-        raise ValueError(f"{name}={value} must be at most {most}")
-
-
-def _check_within(name: str, value: object, interval: str, optional: bool = False) -> None:
-    """Raise ValueError unless a number lies in an interval such as ``"(0, 1]"``; nan lies in none."""
-    if value is None and optional:
-        return
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        raise ValueError(f"{name}={value!r} must be a number in {interval}")
-    low, high = (float(end) for end in interval[1:-1].split(","))
-    above = value >= low if interval[0] == "[" else value > low
-    below = value <= high if interval[-1] == "]" else value < high
-    if not (above and below):
-        raise ValueError(f"{name}={value} must lie in {interval}")
 
 
 def check_setting(name: str, kind: type[PPOConfig]) -> None:
@@ -401,43 +385,18 @@ def read_settings(path: Path) -> dict[str, Any]:
     ValueError for a file without settings, or with additional content; the message names it.
     """
     try:
-        text = read_bytes(path, LONGEST).decode()
-        _check_plain(text)
-        settings = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+        settings = plain(read_yaml(read_bytes(path, LONGEST), most=MOST_VALUES))
         if not isinstance(settings, dict) or not settings:
             raise ValueError("it holds no settings by name")
-        _check_settings(settings)
-    except (OmegaConfBaseException, yaml.YAMLError, ValueError) as error:
-        raise ValueError(f"{path} is no configuration: {str(error).splitlines()[0]}") from error
-    return {str(name): value for name, value in settings.items()}
-
-
-def _check_plain(text: str) -> None:
-    """Raise ValueError for YAML that is larger, when read, than it looks."""
-    depth = values = 0
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        values += isinstance(event, yaml.NodeEvent)
-        if values == 1 and depth == 0 and not isinstance(event, yaml.MappingStartEvent):
-            raise ValueError("it holds no settings by name")
-        if values > MOST_VALUES:
-            raise ValueError(f"it has more than {MOST_VALUES:,} values")
-        if isinstance(event, yaml.AliasEvent):
-            raise ValueError("it has aliases of YAML")
-        if getattr(event, "tag", None) is not None:
-            raise ValueError(f"it has the tag {event.tag!r} of YAML; settings are literal values")
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEEPEST:
-            raise ValueError(f"it is nested more than {DEEPEST} levels deep")
-
-
-def _check_settings(settings: Mapping[Any, object]) -> None:
-    """Raise ValueError for values that stand for others, and options that are not read from files."""
-    for name, value in _leaves("", settings):
-        if isinstance(value, str):
-            _check_literal(name, value)
-    options = settings.get("options")
-    for name in set(LOGS) & set(options) if isinstance(options, Mapping) else ():
-        raise ValueError(f"options.{name} is not read from files; give it on the command line")
+        for name, value in _leaves("", settings):
+            if isinstance(value, str):
+                _check_literal(name, value)
+        options = settings.get("options")
+        for name in set(LOGS) & set(options) if isinstance(options, dict) else ():
+            raise ValueError(f"options.{name} is not read from files; give it on the command line")
+    except ValueError as error:
+        raise ValueError(f"{path} is no configuration: {error}") from error
+    return settings
 
 
 def _check_literal(name: str, text: str) -> None:

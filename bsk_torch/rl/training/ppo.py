@@ -24,7 +24,7 @@ from bsk_torch.rl.networks.precision import reduced
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training.advantages import FINAL, final, make_value_norm, standardize, write_advantages
 from bsk_torch.rl.training.collect import COLLECTED_CLOCK
-from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
+from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught
 from bsk_torch.rl.training.loss import Terms, clipped_loss, unjudged
 
@@ -91,11 +91,6 @@ class Learner:
         return self.config.rollout if self.recurrent else 1
 
     @property
-    def learning_rate(self) -> float:
-        """Present step of the optimizer."""
-        return float(self.optimiser.param_groups[0]["lr"])
-
-    @property
     def policy(self) -> TensorDictModuleBase:
         """The current policy; it continues to learn during training."""
         return self.networks.policy
@@ -117,8 +112,7 @@ class Learner:
         config = self.config
         self.imitates = self.teacher is not None and fraction < config.imitation
         self.judges = not self.imitates or config.imitation < 1.0  # else values are never needed
-        self.optimiser.param_groups[0]["lr"] = config.learning_rate * SCHEDULES[config.learning_rate_schedule](fraction)
-        self.entropy_coefficient = config.entropy * SCHEDULES[config.entropy_schedule](fraction)
+        self.optimiser.param_groups[0]["lr"], self.entropy_coefficient = config.annealed(fraction)
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, normalizers and optimizer."""

@@ -268,7 +268,9 @@ class Training:
                 logger.warning(hardship)
         self.recent.add(self.rewards(batch), batch["next", "done"].squeeze(-1), self.survived(batch), self.fill(batch))
         self.days += float(batch["next", "duration"].double().sum()) / DAY
-        self.learner.anneal(self.progress.fraction)
+        fraction = self.progress.fraction
+        self.learner.anneal(fraction)
+        learning_rate, entropy_coefficient = self.config.annealed(fraction)
         with one_thread():
             report = self.learner.learn(batch)
         if not _finite(self.learner.policy_state()):
@@ -284,8 +286,8 @@ class Training:
             "episodes": self.recent.count,
             **self.recent.means(),
             "kl": report["kl_approx"],
-            "learning_rate": self.learner.learning_rate,
-            "entropy_coefficient": self.learner.entropy_coefficient,
+            "learning_rate": learning_rate,
+            "entropy_coefficient": entropy_coefficient,
             "update_seconds": time.perf_counter() - begin,
             **{name: report[name] for name in REPORTED if name != "kl_approx"},
         }
