@@ -233,9 +233,8 @@ class ObservationBuilder:
 
     def _check_numbers(self, vector: Tensor, named: Callable[[], Values]) -> None:
         """Raise FloatingPointError for a vector [N, width] with NaN or infinity, from which no network learns."""
-        wrong = ~torch.isfinite(vector)
-        if bool(wrong.any()):
-            rows, columns = torch.nonzero(wrong).unbind(1)
+        if float((vector * 0.0).sum()) != 0.0:  # which is NaN with a number that is not finite
+            rows, columns = torch.nonzero(~torch.isfinite(vector)).unbind(1)
             name, value = self.describe(named())[int(columns[0])], float(vector[rows[0], columns[0]])
             raise FloatingPointError(
                 f"{name!r} in the observation of {self.satellite.title(int(rows[0]))} is {'NaN' if isnan(value) else value} "

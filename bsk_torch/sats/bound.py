@@ -272,8 +272,8 @@ class BoundSatellite(Satellite):
 
     @property
     def removed(self) -> Tensor | None:
-        """Satellites that are absent or have left, [N], for which queries return nothing; None if there are none."""
-        return self.rows_of(self.fleet.state.removed) if self.fleet.state.some_removed else None
+        """Satellites that are absent or have left, [N], for which queries return nothing; None if there can be none."""
+        return self.rows_of(self.fleet.state.removed) if self.fleet.size > 1 else None
 
     @property
     def present(self) -> Tensor:

@@ -120,8 +120,8 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         if entry is not None and entry[0] == now and (count is None or entry[2] or bool((entry[1].found >= count).all())):
             return entry[1] if pad else self._complete(entry[1])
         wanted, simulator = count, self.simulator
-        if (removed := self.removed) is not None:
-            wanted = torch.where(removed, 0, n if count is None else count)
+        if self.fleet.state.some_removed:
+            wanted = torch.where(self.rows_of(self.fleet.state.removed), 0, n if count is None else count)
         windows, counts = simulator.lookahead.next_windows(
             kind,
             simulator.state.sim_time,

@@ -177,7 +177,7 @@ class Observer:
         """Return an observable, [N] or [N, 3] float64."""
         if self._version != self.state.version:
             self._forget_the_past()
-        if self._own:
+        if function in self._own:
             self._leave_changed()
         value = self._values.get(function)
         if value is None:
@@ -197,7 +197,7 @@ class Observer:
 
         This is faster than one :meth:`read` for each. None unless the kernel computes all of them, and all are of that kind.
         """
-        if self._own:
+        if any(function in self._own for function in functions):
             self._leave_changed()
         kernel = (self._kernel or self._built()) if self.kernels and functions else None
         columns = None if kernel is None else kernel.columns(functions, kind)
