@@ -1,8 +1,8 @@
 """Head-room of Sites-v1: rules, a rule tuned by search, planners that know what is observed, and trained policies.
 
 Usage:
-    python benchmarks/sites.py [--preset Sites-v1] [--settings 128] [--episodes 256] [--planned 16] [--horizon 180]
-        [--futures 4 12] [--tried 8] [--time-limit 2850] [--base FOLDER] [--first 7500000] [--runs FOLDER ...]
+    python benchmarks/sites.py [--preset Sites-v1] [--gain convex] [--risk 0] [--settings 128] [--episodes 256] [--planned 16]
+        [--horizon 180] [--futures 4 12] [--tried 8] [--time-limit 2850] [--base FOLDER] [--first 7500000] [--runs FOLDER ...]
         [--join FILE.json ...] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
@@ -71,7 +71,10 @@ COLUMNS = {
 
 def environment(options: argparse.Namespace, episodes: int, **more: Any) -> Tasking:
     """Return the environment of so many episodes that are named by seeds."""
-    env = bsk_torch.make(options.preset, num_envs=episodes, env_ids=[0] * episodes, time_limit=options.time_limit, **more)
+    task = {} if options.preset == "SitesTeam-v1" else {"gain": options.gain, "risk": options.risk}
+    env = bsk_torch.make(
+        options.preset, num_envs=episodes, env_ids=[0] * episodes, time_limit=options.time_limit, **task, **more
+    )
     assert isinstance(env, Tasking)
     return env
 
@@ -123,7 +126,7 @@ def main() -> None:
     """Measure the entrants and print a table."""
     parsed = harness.parser(
         __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], tried=8, first=FIRST,
-        time_limit=ORBIT / 2,
+        time_limit=ORBIT / 2, gain="complete", risk=0.4,
     )  # fmt: skip
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     parsed.add_argument("--base", type=Path, metavar="FOLDER", help="training whose policy planners improve instead of the rule")

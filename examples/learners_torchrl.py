@@ -246,10 +246,23 @@ SETTINGS = {
         batch_size=2048,
     ),
     "dqn": dict(
-        steps=300_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512
+        steps=1_000_000,
+        num_envs=128,
+        learning_rate=2e-3,
+        gamma=0.9999,
+        batch_size=512,
+        tau=0.02,
+        scale=10.0,
     ),
     "sac": dict(
-        steps=300_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512
+        steps=500_000,
+        num_envs=128,
+        learning_rate=1e-3,
+        gamma=0.9999,
+        batch_size=512,
+        tau=0.02,
+        scale=30.0,
+        entropy=0.02,
     ),
 }
 """Defaults that differ between learners."""

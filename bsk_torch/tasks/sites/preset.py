@@ -48,8 +48,8 @@ Satellites of a team observe 12 + 32 * 36 + 1 = 1,165 numbers, and in ``rows`` 3
 
 Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
 
-Reward: value times size of the site for the image that completes it; with ``scenario=Sites(300, gain="convex")``, what each clear
-image adds to the gain of :class:`~bsk_torch.tasks.sites.Sites`. The satellites of a team get equal parts, whoever took the image.
+Reward: value times size of the site for the image that completes it; with ``gain="convex"``, what each clear image adds to the
+gain of :class:`~bsk_torch.tasks.sites.Sites`. The satellites of a team get equal parts, whoever took the image.
 Images of a site can be chosen for 300 s after its first one.
 
 Termination: at the time limit of 2,850 s.
@@ -92,17 +92,21 @@ class TeamSatellite(AgileSatellite):
     slew: ClassVar[float] = 45.0
 
 
-def sites(*, as_set: bool = False, n_sites: int = SITES, **options: object) -> SatelliteTasking:
+def sites(
+    *, as_set: bool = False, n_sites: int = SITES, gain: str = "complete", risk: float = 0.4, **options: object
+) -> SatelliteTasking:
     """Return Sites-v1; see the module.
 
     Args:
         as_set: Whether images are observed as ``rows`` [N, 32, features] with a ``mask`` instead of in one vector.
         n_sites: Number of sites.
+        gain: What parts of a site pay, ``"complete"`` or ``"convex"``; see :class:`~bsk_torch.tasks.sites.Sites`.
+        risk: Largest probability that an image is not clear; 0 for no weather.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
     arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
-    options = _parts(n_sites) | options
+    options = _parts(Sites(n_sites, gain=gain, risk=risk)) | options
     (satellite,) = imagers(AgileSatellite, ["EO1"], arguments, options, **looking_ahead(*SITE, as_set=as_set))
     return agile_environment(satellite, options)
 
@@ -124,8 +128,8 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
     parts = dict(
         sat_arg_randomizer=train, sim_rate=0.5, max_step_duration=SOON, failure_penalty=0.0, terminate_on_time_limit=True
     )
-    return ConstellationTasking(satellites, **(_parts(n_sites) | parts | options))
+    return ConstellationTasking(satellites, **(_parts(Sites(n_sites)) | parts | options))
 
 
-def _parts(n_sites: int) -> dict[str, Any]:
-    return dict(scenario=Sites(n_sites), rewarder=CompletionReward(), time_limit=ORBIT / 2)
+def _parts(scenario: Sites) -> dict[str, Any]:
+    return dict(scenario=scenario, rewarder=CompletionReward(), time_limit=ORBIT / 2)
