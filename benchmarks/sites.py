@@ -72,9 +72,7 @@ COLUMNS = {
 def environment(options: argparse.Namespace, episodes: int, **more: Any) -> Tasking:
     """Return the environment of so many episodes that are named by seeds."""
     task = {} if options.preset == "SitesTeam-v1" else {"gain": options.gain, "risk": options.risk}
-    env = bsk_torch.make(
-        options.preset, num_envs=episodes, env_ids=[0] * episodes, time_limit=options.time_limit, **task, **more
-    )
+    env = bsk_torch.make(options.preset, num_envs=episodes, env_ids=[0] * episodes, time_limit=options.time_limit, **task, **more)
     assert isinstance(env, Tasking)
     return env
 

@@ -6,13 +6,10 @@ and imports it when it is asked for.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar
-
-from bsk_torch.sim.names import nearest
 
 PACKAGE = Path(__file__).parent
 
@@ -37,23 +34,6 @@ def resolve(path: str) -> Any:
         raise RoomAbsentError(f"{path.partition(':')[2]} is not installed: this copy of bsk_torch has no folder {folder}")
     module, _, name = path.partition(":")
     return getattr(import_module(module), name)
-
-
-def lazy(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[str], object]:
-    """Return the ``__getattr__`` of a package that imports attributes when they are first read (PEP 562).
-
-    ``modules`` are the names of the attributes by the module of the package that has them.
-    """
-    homes = {name: module for module, names in modules.items() for name in names}
-
-    def read(name: str) -> object:
-        if name not in homes:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}; {nearest(name, homes)}")
-        value: object = resolve(f"{package}.{homes[name]}:{name}")
-        setattr(sys.modules[package], name, value)
-        return value
-
-    return read
 
 
 class Entries(MutableMapping[str, T], Generic[T]):

@@ -97,8 +97,9 @@ benchmarks/aeossp_flown.py --folder {flights} --cases small --plans solution.jso
 benchmarks/aeossp_policy.py --folder {flights} --case small --learn small --frames 32 --num-envs 2
   compiled: (?s)\| small \| farsighted \| [01]\.\d+ \|.*\| small \| policy \| [01]\.\d+ \|
 benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --time-limit 300 --out sites.json
-benchmarks/sites_imitation.py --seeds 0 --rounds 2 --episodes 4 --evaluate 4 --horizon 60 --tried 2 --epochs 1 --hidden 32 --time-limit 300 --runs runs --out imitation.json
   compiled: commit
+benchmarks/sites_imitation.py --seeds 0 --rounds 2 --episodes 4 --evaluate 4 --horizon 60 --epochs 1 --hidden 32 --time-limit 300
+  compiled: imitation, seed 0
 benchmarks/requests.py --batches 2 --requests 20 --hours 0.5 --steps 2
   compiled: \| 2 \| 20 \| 20 \| [\d.]+ \| [\d,]+ \|
 benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized

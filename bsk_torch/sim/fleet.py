@@ -48,9 +48,10 @@ class FleetState(StateTable):
     @property
     def some_removed(self) -> bool:
         """Whether there are satellites that have been removed."""
-        if self._some_removed is None or self._some_removed[0] is not self.removed:
-            self.__dict__["_some_removed"] = self.removed, bool(self.removed.any())
-        return self._some_removed[1]
+        noted = self._some_removed
+        if noted is None or noted[0] is not self.removed:
+            noted = self._some_removed = self.removed, bool(self.removed.any())
+        return noted[1]
 
     def check_relations(self, path: str) -> None:
         """See :meth:`StateTable.check_relations`: the clocks of an episode's satellites agree."""

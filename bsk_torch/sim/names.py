@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Iterable, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TypeVar
+
+from bsk_torch._rooms import resolve
 
 Name = TypeVar("Name", bound=str)
 
@@ -75,3 +78,20 @@ def name_fault(name: str) -> str:
 def snake(name: str) -> str:
     """Return the name of a class in lower case with underscores."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def lazy(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[str], object]:
+    """Return the ``__getattr__`` of a package that imports attributes when they are first read (PEP 562).
+
+    ``modules`` are the names of the attributes by the module of the package that has them.
+    """
+    homes = {name: module for module, names in modules.items() for name in names}
+
+    def read(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}; {nearest(name, homes)}")
+        value: object = resolve(f"{package}.{homes[name]}:{name}")
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return read

@@ -5,7 +5,7 @@ Attributes are imported when they are first read (PEP 562), so that the help of 
 
 from typing import TYPE_CHECKING
 
-from bsk_torch._rooms import lazy as _lazy
+from bsk_torch.sim.names import lazy as _lazy
 
 if TYPE_CHECKING:
     from bsk_torch.tasks.aeossp.env import case_env, drawn_case_env
