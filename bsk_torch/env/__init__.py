@@ -5,8 +5,8 @@ They are imported when they are first read (PEP 562): ``bsk_torch.bsk_rl`` build
 
 from typing import TYPE_CHECKING
 
-from bsk_torch.sim.names import lazy as _lazy
 from bsk_torch.env.no_action import NO_ACTION
+from bsk_torch.sim.names import lazy as _lazy
 
 if TYPE_CHECKING:
     from bsk_torch.env.base import Tasking
