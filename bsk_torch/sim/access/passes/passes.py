@@ -133,7 +133,7 @@ def coarse_screen(track: GroundTrack, places: Sites, kernels: bool = True) -> tu
 
 
 def _near_on_tensors(cells: Cells, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the same as :func:`~places_near`; ``places`` [n or 1, P, 3] are directions.
+    """Return the same as :func:`places_near`; ``places`` [n or 1, P, 3] are directions.
 
     Products with the NaN of missing places exceed nothing.
     """
