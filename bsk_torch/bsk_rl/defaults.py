@@ -12,7 +12,6 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from copy import deepcopy
-from typing import Any
 
 import numpy as np
 
@@ -75,7 +74,7 @@ def model_defaults(model: type) -> dict[str, object]:
     return _collected(model, _methods(model, {**DYN, **FSW, **WORLD}), values)
 
 
-def world_defaults(world_type: type) -> dict[str, Any]:
+def world_defaults(world_type: type) -> dict[str, object]:
     """Return all arguments of a world model by name; see :func:`sat_defaults`."""
     values = _values(world_type.all_components())  # type: ignore[attr-defined]
     values.pop("earthRotation", None)  # bsk_rl has one model of it

@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bsk_torch.formats.source import Source, read_source
 from bsk_torch.sim.names import nearest
@@ -48,7 +47,7 @@ class PlaceList:
     priority: list[float] | None
 
 
-Record = tuple[int | None, str, Mapping[str, Any]]
+Record = tuple[int | None, str, Mapping[str, object]]
 """Line in the file, description of a place, and its values as in the file, by the names of :data:`COLUMNS`."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -99,7 +99,7 @@ class Engine:
         self.backend, self.orbit = backend, orbit
         self._key: object = None
         self._values: list[dict[str, object]] = []
-        self.world: dict[str, Any] = {}
+        self.world: dict[str, object] = {}
         self._limit = float("inf")
 
     def begin(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -22,7 +22,7 @@ def export_policy(
     c: Annotated[bool, typer.Option("--c", help="Write policy.c and policy.h, C99 without dependencies.")] = False,
     shield: Annotated[str | None, flag("NAME", "Shield to include, 'safe' or 'imager'.")] = None,
     *,
-    options: Annotated[dict[str, Any], ("threads", "backend", "time_limit")],
+    options: Annotated[dict[str, object], ("threads", "backend", "time_limit")],
 ) -> None:
     """Export a trained policy for flight software and other programs: network, normalizer, mask and choice of the action.
 

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -95,7 +94,7 @@ class Learner:
         """The current policy; it continues to learn during training."""
         return self.networks.policy
 
-    def policy_state(self) -> dict[str, Any]:
+    def policy_state(self) -> dict[str, object]:
         """Return the policy's weights; see :meth:`~bsk_torch.rl.networks.plans.Networks.policy_state`."""
         return self.networks.policy_state()
 
@@ -114,7 +113,7 @@ class Learner:
         self.judges = not self.imitates or config.imitation < 1.0  # else values are never needed
         self.optimiser.param_groups[0]["lr"], self.entropy_coefficient = config.annealed(fraction)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Networks, normalizers and optimizer."""
         return {name: getattr(self, name).state_dict() for name in LEARNED} | {NORMALISER: self.networks.normaliser.state_dict()}
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -186,7 +186,7 @@ def _at_nadir(orbit: ElementSet, et: float) -> dict[str, object]:
 
 def crew_arguments(
     case: Case, crew: Sequence[int], tick: float, factors: NDArray[np.float64], power: str = "case"
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Return the arguments of satellites ``crew``: orbits, wheels of their slew limits, times ``factors``, and batteries."""
     rows = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
     return [row | {"wheels": rows[0]["wheels"]} for row in rows]  # of which each satellite has its own numbers
