@@ -316,7 +316,7 @@ def test_nadir_science_is_that_of_the_benchmark():
 def test_the_rule_of_nadir_science_needs_its_observations():
     with pytest.raises(ValueError, match="observes pointing errors, for which there is the rule 'rule'"):
         bsk_torch.rule("science", bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager"))
-    with pytest.raises(KeyError):
+    with pytest.raises(ValueError, match=r"'rule' does not fit .* Baselines that fit: random, science"):
         bsk_torch.rule("rule", bsk_torch.make("NadirScience-v1", num_envs=1, backend="eager"))
     assert bsk_torch.rule("science", bsk_torch.make("NadirScience-v1", num_envs=1, backend="eager")) is not None
 

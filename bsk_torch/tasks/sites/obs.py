@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -94,11 +95,8 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, images: Opportu
     )
 
 
-def _prospect(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tensor]:
-    def read(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
-        return getattr(prospects(satellite, images), name)
-
-    return read
+def _prospect(name: str, satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    return getattr(prospects(satellite, images), name)
 
 
 def commit_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
@@ -207,24 +205,21 @@ def _shares(satellite: BoundAccessSatellite, scenario: Sites, image: Tensor) -> 
     )
 
 
-def _share(name: str) -> Callable[[BoundAccessSatellite, Opportunities], Tensor]:
-    def read(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
-        return getattr(shares(satellite, images), name)
-
-    return read
+def _share(name: str, satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    return getattr(shares(satellite, images), name)
 
 
 SITE = (
-    dict(fn=_prospect("size"), prop="site_size", norm=6.0),
-    dict(fn=_prospect("done"), prop="site_done", norm=6.0),
-    dict(fn=_prospect("left"), prop="site_left", norm=6.0),
-    dict(fn=_prospect("ago"), prop="site_ago", norm=300.0),
-    dict(fn=_prospect("risk"), prop="risk"),
-    dict(fn=_prospect("chance"), prop="site_chance"),
-    dict(fn=_prospect("step"), prop="site_step", norm=6.0),
-    dict(fn=_prospect("finish"), prop="site_finish", norm=6.0),
-    dict(fn=_prospect("margin"), prop="site_margin", norm=300.0),
-    dict(fn=_prospect("others"), prop="site_others", norm=100e3),
+    dict(fn=partial(_prospect, "size"), prop="site_size", norm=6.0),
+    dict(fn=partial(_prospect, "done"), prop="site_done", norm=6.0),
+    dict(fn=partial(_prospect, "left"), prop="site_left", norm=6.0),
+    dict(fn=partial(_prospect, "ago"), prop="site_ago", norm=300.0),
+    dict(fn=partial(_prospect, "risk"), prop="risk"),
+    dict(fn=partial(_prospect, "chance"), prop="site_chance"),
+    dict(fn=partial(_prospect, "step"), prop="site_step", norm=6.0),
+    dict(fn=partial(_prospect, "finish"), prop="site_finish", norm=6.0),
+    dict(fn=partial(_prospect, "margin"), prop="site_margin", norm=300.0),
+    dict(fn=partial(_prospect, "others"), prop="site_others", norm=100e3),
     dict(fn=commit_worth, prop="commit_worth"),
     dict(fn=site_code, prop="site_code"),
 )
@@ -232,12 +227,12 @@ SITE = (
 
 TEAM = (
     *(entry | dict(fn=team_worth) if entry["prop"] == "commit_worth" else entry for entry in SITE),
-    dict(fn=_share("claimed"), prop="claimed"),
-    dict(fn=_share("site_claims"), prop="site_claims"),
-    dict(fn=_share("later"), prop="later", norm=300.0),
-    dict(fn=_share("team_left"), prop="team_left", norm=6.0),
-    dict(fn=_share("team_chance"), prop="team_chance"),
-    dict(fn=_share("team_finish"), prop="team_finish", norm=6.0),
-    dict(fn=_share("team_close"), prop="team_close", norm=300.0),
+    dict(fn=partial(_share, "claimed"), prop="claimed"),
+    dict(fn=partial(_share, "site_claims"), prop="site_claims"),
+    dict(fn=partial(_share, "later"), prop="later", norm=300.0),
+    dict(fn=partial(_share, "team_left"), prop="team_left", norm=6.0),
+    dict(fn=partial(_share, "team_chance"), prop="team_chance"),
+    dict(fn=partial(_share, "team_finish"), prop="team_finish", norm=6.0),
+    dict(fn=partial(_share, "team_close"), prop="team_close", norm=300.0),
 )
 """The same in a team."""

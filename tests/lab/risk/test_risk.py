@@ -30,7 +30,7 @@ def test_the_estimate_agrees_with_independent_episodes_whatever_the_batch(found)
     env = scanning(200, 1200.0)
     env.reset()
     flights = Flights(env, base_of("random", env), rare_event(env, LOW, None))
-    seen = flights(torch.arange(600) + 10**6).level == torch.inf
+    seen = flights(torch.arange(600) + 10**6)["level"] == torch.inf
     low, high = wilson(int(seen.sum()), 600)
     assert found.thresholds
     assert found.probability.low < high

@@ -59,5 +59,5 @@ def test_nodes_of_a_run_are_on_the_orbits(now):
         found = positions(records, tau / RSO_TRACK.spacing)
         whole = torch.full((2,), max(time, now)).double()
         later.catch_up(whole)
-        wanted = later.states(envs, place.unsqueeze(-1), whole, torch.full((2,), time).double()).before_N
+        wanted = later.states(envs, place.unsqueeze(-1), whole, torch.full((2,), time).double())[2]
         assert (found - wanted[:, 0]).abs().max() < 1e-4

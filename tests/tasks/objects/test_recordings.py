@@ -62,7 +62,7 @@ def differences(env, recorded: Episodes) -> tuple[dict[str, float], list[list[li
             compare(name, read(field), state[:, :imagers, where : where + 3])
         compare("battery", read("charge"), state[:, :imagers, 16:17])
         compare("r_T", scenario.r_TN_N, state[:, imagers:, 1:4])
-        compare("v_T", scenario.orbits.states(envs, place, env.fleet.sim_time, env.fleet.sim_time).v_N, state[:, imagers:, 4:7])
+        compare("v_T", scenario.orbits.states(envs, place, env.fleet.sim_time, env.fleet.sim_time)[1], state[:, imagers:, 4:7])
         candidates = scenario.candidates(satellite, 3)
         found = torch.where(candidates.exists, candidates.place, -1).view(n, imagers, 3)
         compare("candidates", found, recorded.padded("candidates", k))

@@ -44,6 +44,28 @@ sample's two neighbors.
 PASSES_PER_SECOND = 1.2e-5  # typical rate of passes of a low orbit over one place, 1/s
 
 
+class WindowState(StateTable):
+    """Windows [N, W] over the places of one kind, see :class:`~bsk_torch.sim.access.windows.table.Windows`."""
+
+    open: Tensor
+    close: Tensor
+    place: Tensor
+
+    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
+        super().__init__(num_envs, count, device)
+        self.declare("open", math.inf, 1, grows=True, low=0.0)
+        self.declare("close", math.inf, 1, grows=True, low=0.0)
+        self.declare("place", 0, 1, grows=True, low=0)
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: columns of windows sorted by closing time."""
+        widths = {name: self[name].shape[1] for name in self}
+        if len({*widths.values()}) > 1 or self.close.shape[1] < 1:
+            raise ValueError(f"'{path}*' of the saved state have {widths} columns; they must have equally many, at least one")
+        self.refuse(f"{path}close", self.close[:, 1:], self.close[:, 1:] < self.close[:, :-1], "they must be sorted")
+        self.refuse(f"{path}open", self.open, self.open > self.close, "a window must open before it closes")
+
+
 class AccessWindows(StateTable):
     """Windows of N satellites over several kinds of places.
 
@@ -64,11 +86,7 @@ class AccessWindows(StateTable):
         self.declare("until", 0.0, low=0.0)
         self.declare("ready", 0.0, low=0.0)
         for kind in kinds:
-            table = StateTable(self.num_envs, self.count, self.device)  # of Windows, [N, W]
-            table.declare("open", math.inf, 1, grows=True, low=0.0)
-            table.declare("close", math.inf, 1, grows=True, low=0.0)
-            table.declare("place", 0, 1, grows=True, low=0)
-            self.add(kind, table)
+            self.add(kind, WindowState(self.num_envs, self.count, self.device))
         self.ahead, self._expected = max(1, round(SEARCH_AHEAD / segment)), 0.0
 
     def check_relations(self, path: str) -> None:
