@@ -73,10 +73,17 @@ def audited(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: range, *
 
 
 def learn(
-    policy: TensorDictModuleBase, decisions: TensorDictBase, temperature: float, epochs: int, rate: float, draws: torch.Generator
+    policy: TensorDictModuleBase,
+    decisions: TensorDictBase,
+    temperature: float,
+    epochs: int,
+    rate: float,
+    draws: torch.Generator,
+    last: float = 1.0,
 ) -> None:
-    """Train a policy on the values of actions, in place."""
+    """Train a policy on the values of actions, in place; the learning ``rate`` falls to a part ``last`` of it."""
     optimizer = torch.optim.Adam(policy.parameters(), lr=rate)
+    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, last, epochs)
     for _ in range(epochs):
         for part in torch.randperm(len(decisions), generator=draws).split(MINIBATCH):
             sample = decisions[part].clone()
@@ -86,6 +93,7 @@ def learn(
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
+        schedule.step()
 
 
 def logits(policy: TensorDictModuleBase, sample: TensorDictBase) -> Tensor:

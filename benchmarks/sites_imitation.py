@@ -90,7 +90,7 @@ def train(options: argparse.Namespace, seed: int) -> tuple[TensorDictModuleBase,
         lesson = judged(env, judge, networks.policy if turn else None, range(first, first + options.episodes))
         networks.normaliser.update(lesson)
         lessons.append(lesson)
-        learn(networks.policy, torch.cat(lessons), options.temperature, options.epochs, options.rate, draws)
+        learn(networks.policy, torch.cat(lessons), options.temperature, options.epochs, options.rate, draws, last=0.05)
     if options.runs is not None:
         folder = options.runs / f"seed_{seed}"
         folder.mkdir(parents=True, exist_ok=True)
