@@ -237,6 +237,9 @@ def sac(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleB
 
 LEARNERS = {"ppo": ppo, "dqn": dqn, "sac": sac}
 
+OFF_POLICY = dict(num_envs=128, gamma=0.9999, batch_size=512, tau=0.02)
+"""Defaults of DQN and SAC."""
+
 SETTINGS = {
     "ppo": dict(
         steps=1_500_000,
@@ -245,25 +248,9 @@ SETTINGS = {
         gamma=0.99999,
         batch_size=2048,
     ),
-    "dqn": dict(
-        steps=1_000_000,
-        num_envs=128,
-        learning_rate=2e-3,
-        gamma=0.9999,
-        batch_size=512,
-        tau=0.02,
-        scale=10.0,
-    ),
-    "sac": dict(
-        steps=500_000,
-        num_envs=128,
-        learning_rate=1e-3,
-        gamma=0.9999,
-        batch_size=512,
-        tau=0.02,
-        scale=30.0,
-        entropy=0.02,
-    ),
+    "dqn": OFF_POLICY | dict(steps=1_000_000, learning_rate=2e-3, scale=10.0),
+    "sac": OFF_POLICY
+    | dict(steps=500_000, learning_rate=1e-3, scale=30.0, entropy=0.02),
 }
 """Defaults that differ between learners."""
 

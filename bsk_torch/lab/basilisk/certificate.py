@@ -153,14 +153,11 @@ def flown_here(
         if not actions:
             starts.extend(starts_of(env, seeds))
 
-    hooks = (
-        policy.register_forward_pre_hook(note_starts),
-        policy.register_forward_hook(lambda policy, inputs, decided: actions.append(decided["action"].cpu().clone())),
-    )
-    with torch.no_grad():
+    def note_action(policy: TensorDictModuleBase, inputs: object, decided: TensorDict) -> None:
+        actions.append(decided["action"].cpu().clone())
+
+    with policy.register_forward_pre_hook(note_starts), policy.register_forward_hook(note_action), torch.no_grad():
         result = evaluate(policy, env, seeds=seeds)
-    for hook in hooks:
-        hook.remove()
     return result, starts, torch.stack(actions)
 
 

@@ -146,7 +146,7 @@ ARGS = (
     Arg("walkBounds", ZEROS, "m, m/s, -, rad/s", "largest errors; no limit where not positive", shape=(ERRORS,)),
     Arg("crossTrans", False, "-", "whether position errors grow with those of velocity", "constant", choices=(True, False)),
     Arg("crossAtt", False, "-", "whether attitude errors grow with those of rate", "constant", choices=(True, False)),
-    Arg("RNGSeed", None, "-", "seed of Basilisk's random numbers; None: other ones", low=0, high=2**32 - 1, whole=True),
+    Arg("RNGSeed", None, "-", "seed of Basilisk's random numbers; None: drawn", low=0, high=2**32 - 1, whole=True),
     Arg("navigationBias", None, "m, m/s, -, rad/s", "constant errors of navigation; None: none", shape=(ERRORS,)),
     Arg("navigationNoise", None, "-", "factor of PMatrix; None: one", low=0.0, high=1e9),
 )

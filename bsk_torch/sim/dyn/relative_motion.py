@@ -43,7 +43,7 @@ CONJUNCTION = Component(
             high=1e9,
             missing=SHORTEST,
         ),
-        Arg("conjunction_exact", False, "-", "whether distances between ticks count, too", "choice", choices=(False, True)),
+        Arg("conjunction_exact", False, "-", "whether distances also count between ticks", "choice", choices=(False, True)),
     ),
     check=_check_looks,
 )

@@ -39,7 +39,8 @@ TANK = Component(
 def burn(dv_N: Tensor, available: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the maneuvers ``dv_N`` [N, 3] m/s with tanks that are good for ``available`` [N] m/s.
 
-    ``dv <- dv min(1, available / |dv|)`` and ``left = available - |dv|``; whether a request exceeds its tank is the third result.
+    ``dv <- dv min(1, available / |dv|)``. Returned with what remains, ``available - |dv|`` [N] m/s, and whether a request exceeds
+    its tank, [N].
     """
     asked = dv_N.norm(dim=-1)
     clipped = asked > available

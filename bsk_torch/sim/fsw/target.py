@@ -183,7 +183,7 @@ IMAGE_TARGET = Component(
     args=(
         Arg("imageTargetMinimumElevation", math.radians(45.0), "rad", "least elevation of the satellite above the target"),
         MAXIMUM_RANGE,
-        Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere of the first target", low=1e-9, high=1e9),
+        Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere with the initial target", low=1e-9, high=1e9),
         *SUN_LIMITS,
         Arg(VERTICAL, "radius", "-", "vertical of elevations; the scenario sets it", "constant", choices=("radius", "wgs84")),
     ),

@@ -165,9 +165,9 @@ def _mark(panel: Axes, measure: Measure) -> None:
         panel.annotate(f"{measure.mark} →", (1.0, 0.03), xycoords="axes fraction", ha="right", va="bottom", **text)
         return
     panel.axvline(measure.frames, **look)
-    left = measure.frames > 0.5 * last
+    offset, side = (-4.0, "right") if measure.frames > 0.5 * last else (4.0, "left")
     at = dict(xy=(measure.frames, 0.03), xycoords=panel.get_xaxis_transform(), textcoords="offset points")
-    panel.annotate(measure.mark, xytext=(-4.0 if left else 4.0, 0.0), ha="right" if left else "left", va="bottom", **at, **text)
+    panel.annotate(measure.mark, xytext=(offset, 0.0), ha=side, va="bottom", **at, **text)
 
 
 def deaths_chart(deaths: Mapping[str, Mapping[str, int]], path: Path) -> Path:
