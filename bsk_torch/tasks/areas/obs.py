@@ -21,6 +21,9 @@ from bsk_torch.vec3 import Mat3, Vec3
 HORIZON = 5700.0
 """Longest time observed, s: about one revolution."""
 
+SOON = 240.0
+"""Time that divides ``opens_soon`` and ``closes_soon`` by e, s: about that of a turn."""
+
 
 class AreaProperties(CandidateProperties):
     """Properties of the n areas whose windows close next: times in which the swath may show a part of an area.
@@ -31,13 +34,25 @@ class AreaProperties(CandidateProperties):
     ``remaining``           due share of its surface
     ``gain``                the part of ``remaining`` that a scan along the rest of the window would record
     ``offset``              distance of its center from the plane of the track, left of it, as a fraction of the reach
+    ``pays``                ``weight`` times ``gain``
+    ``opens_soon``          exp(-``opens`` / 240 s), which tells minutes apart, and the same of ``closes``: ``closes_soon``
     ======================  =========================================================================================
 
     ``gain`` and ``offset`` are those of the great circle below the satellite in the middle of the window, from which the track
     deviates by a few kilometers within minutes.
     """
 
-    properties: ClassVar[Sequence[str]] = ("opens", "closes", "weight", "remaining", "gain", "offset")
+    properties: ClassVar[Sequence[str]] = (
+        "opens",
+        "closes",
+        "weight",
+        "remaining",
+        "gain",
+        "offset",
+        "pays",
+        "opens_soon",
+        "closes_soon",
+    )
     usual: ClassVar[Sequence[dict[str, Any]]] = (
         dict(prop="opens", norm=HORIZON),
         dict(prop="closes", norm=HORIZON),
@@ -45,6 +60,9 @@ class AreaProperties(CandidateProperties):
         dict(prop="remaining"),
         dict(prop="gain"),
         dict(prop="offset"),
+        dict(prop="pays"),
+        dict(prop="opens_soon"),
+        dict(prop="closes_soon"),
     )
     title: ClassVar[str] = "AreaProperties"
     satellite: BoundAccessSatellite
@@ -76,12 +94,16 @@ class AreaProperties(CandidateProperties):
         cells = Vec3.of(scenario.r_CP_P[index])
         half = 0.5 * scenario.swath
         seen = (cells.dot(left).abs() <= half) & ((cells.dot(along) >= -half) | (opens > 0.0).unsqueeze(-1))
+        weight, gain = scenario.weight[env, ahead.place], torch.where(seen, share, 0.0).sum(-1)
         values = {
+            "pays": weight * gain,
+            "opens_soon": torch.exp(-opens / SOON),
+            "closes_soon": torch.exp(-closes / SOON),
             "opens": opens,
             "closes": closes,
-            "weight": scenario.weight[env, ahead.place],
+            "weight": weight,
             "remaining": share.sum(-1),
-            "gain": torch.where(seen, share, 0.0).sum(-1),
+            "gain": gain,
             "offset": Vec3.of(scenario.center[index].unsqueeze(-2)).dot(left).squeeze(-1) / scenario.reach[index],
         }
         return values, ahead.mask

@@ -4,7 +4,7 @@ One satellite of :mod:`bsk_torch.presets.nadir_scan`, with more data and a wider
 differ between episodes. The store is full after about 21 minutes of recording, so that only areas are worth it, and not all of
 them.
 
-Observation, 36 numbers: the twelve of NadirScan-v1, and ``areas`` (24), for each of the four areas whose windows close next, see
+Observation, 48 numbers: the twelve of NadirScan-v1, and ``areas`` (36), for each of the four areas whose windows close next, see
 :class:`~bsk_torch.tasks.areas.AreaProperties`:
 
 ======================================  ==========================================================================
@@ -13,6 +13,8 @@ Observation, 36 numbers: the twelve of NadirScan-v1, and ``areas`` (24), for eac
 ``remaining``                           share of its surface that has not been recorded
 ``gain``                                the part of it that a scan along the rest of the window would record
 ``offset``                              distance of its center from the track, as a fraction of the reach, from -1 to 1
+``pays``                                ``weight`` times ``gain``
+``opens_soon``, ``closes_soon``         exp(-t / 240 s) for the time t until the window opens or closes, from 0 to 1
 ======================================  ==========================================================================
 
 Actions: 0 scan (60 s), 1 charge (60 s), 2 downlink (60 s), 3 desaturate the wheels (60 s).
@@ -76,7 +78,12 @@ def area_args() -> dict[str, Any]:
 
 
 def areas(
-    *, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, n_areas: int = 100, **options: Any
+    *,
+    sat_args: dict[str, Any] | None = None,
+    obs_type: type = torch.Tensor,
+    n_areas: int = 100,
+    revisit: float | None = None,
+    **options: Any,
 ) -> SatelliteTasking:
     """Return Areas-v1; see the module.
 
@@ -84,10 +91,11 @@ def areas(
         sat_args: Arguments of the satellite that replace those of the preset.
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
         n_areas: Number of areas of an episode, up to 1000.
+        revisit: Time after which a recorded cell pays again, s; None for never. See :class:`~bsk_torch.tasks.areas.Areas`.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
     """
     satellite = AreaScanner("Scanner1", area_args() | (sat_args or {}), obs_type=obs_type, may_see_nothing=True)
     defaults: dict[str, Any] = dict(rewarder=AreaReward(), time_limit=5 * ORBIT, failure_penalty=-1.0)
     if "scenario" not in options:
-        defaults["scenario"] = Areas(round_areas(), SWATH, n_areas, weights=rand.Uniform())
+        defaults["scenario"] = Areas(round_areas(), SWATH, n_areas, weights=rand.Uniform(), revisit=revisit)
     return SatelliteTasking(satellite, **(defaults | options))

@@ -1,0 +1,101 @@
+"""Head-room of tasks of areas: rules, a rule tuned by search, trained policies, and planners that improve either.
+
+Usage:
+    python benchmarks/areas.py [--revisit 11400] [--n-areas 100] [--settings 192] [--episodes 256]
+        [--runs FOLDER ...] [--planned 32] [--horizon 3000] [--time-limit 28500] [--out FILE.json]
+
+All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired, and
+the share is this gain as a part of the way from random actions to the entrant. ``--settings 0`` takes the tuned thresholds of
+``--out``, or those of the package. ``--runs`` are folders of trainings. Planners fly each of the four actions in copies of the
+episode, followed by the tuned rule or by the first of ``--runs``. Entrants that are measured again replace their rows of
+``--out``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import harness
+from sites import COLUMNS, FIRST, figures, play, row
+from tensordict.nn import TensorDictModuleBase
+
+import bsk_torch
+from bsk_torch import SatelliteTasking
+from bsk_torch.lab.planners import Rollout
+from bsk_torch.presets.nadir_scan import ORBIT
+from bsk_torch.rl.rules.baselines import scan_rule
+from bsk_torch.tasks.areas.rules import AreaRule
+
+TUNED = "areas, tuned"
+
+RULES = ("random", "rule", "cautious", "areas")
+
+RANGES = {
+    "fast": (0.2, 0.95),
+    "low": (0.05, 0.4),
+    "enough": (0.1, 0.7),
+    "facing": (0.02, 0.5),
+    "worth": (0.02, 0.7),
+    "full": (0.8, 1.0),
+    "lead": (60.0, 600.0),
+    "least": (0.0, 0.15),
+    "scarce": (0.0, 0.4),
+}
+"""Thresholds of the rule, and between which they are tuned."""
+
+
+def environment(options: argparse.Namespace, episodes: int) -> SatelliteTasking:
+    """Return the environment of so many episodes that are named by seeds."""
+    task = {name: getattr(options, name) for name in ("revisit", "n_areas", "time_limit")}
+    env = bsk_torch.make("Areas-v1", num_envs=episodes, env_ids=[0] * episodes, **task)
+    assert isinstance(env, SatelliteTasking)
+    return env
+
+
+def main() -> None:
+    """Measure the entrants and print a table."""
+    parsed = harness.parser(__doc__, settings=192, episodes=256, planned=0, horizon=3000.0, n_areas=100, time_limit=5 * ORBIT)
+    parsed.add_argument("--revisit", type=float, metavar="S", help="time after which a recorded cell is due again")
+    parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
+    options, described = harness.begin(parsed)
+    env = environment(options, options.episodes)
+    before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
+    table: dict[str, dict[str, Any]] = before.get("table", {})
+    results: dict[str, Any] = {
+        "ranges": RANGES,
+        "seeds": [FIRST, FIRST + options.episodes],
+        "tuning": before.get("tuning", {}),
+    }
+    if options.settings:
+        tuning = bsk_torch.tune(AreaRule(), env, RANGES, settings=options.settings)
+        results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
+        print(tuning, flush=True)
+    thresholds = AreaRule(**results["tuning"].get("thresholds", {}))
+    chance, _ = play(bsk_torch.rule("random", env), env, FIRST)
+    tuned, _ = play(scan_rule(env, 0, thresholds), env, FIRST)
+
+    def enter(name: str, policy: TensorDictModuleBase, where: SatelliteTasking) -> None:
+        result, cpu = play(policy, where, FIRST)
+        table[name] = figures(name, row(result, cpu, tuned, chance)) | {"survival": float(result.survived.double().mean())}
+        print(harness.table(COLUMNS, [table[name]]), flush=True)
+        harness.write(options, described, table=table, **results)
+
+    for name in RULES if options.settings or not table else ():
+        enter(name, bsk_torch.rule(name, env), env)
+    enter(TUNED, scan_rule(env, 0, thresholds), env)
+    for folder in options.runs:
+        enter(f"policy {folder.name}", bsk_torch.load_policy(folder, env), env)
+    if options.planned:
+        where = environment(options, options.planned)
+        bases = {TUNED: scan_rule(where, 0, thresholds)}
+        bases |= {f"policy {folder.name}": bsk_torch.load_policy(folder, where) for folder in options.runs[:1]}
+        for base, policy in bases.items():
+            enter(f"rollout of {base}", Rollout(where, policy, horizon=options.horizon, gamma=1.0), where)
+    print(harness.table(COLUMNS, list(table.values())))
+
+
+if __name__ == "__main__":
+    main()
