@@ -57,8 +57,8 @@ def export_policy(
         The contract of each group, by name.
 
     Raises:
-        ValueError: For what is no policy of networks, an unknown form, a network with a memory, a shield that cannot be exported,
-            or an environment that the policy does not fit.
+        ValueError: For what is no policy of networks, an unknown form, a shield that cannot be exported, or an environment that
+            the policy does not fit.
         ModuleNotFoundError: For ``"onnx"`` without the extra ``onnx``.
     """
     for form in forms:
