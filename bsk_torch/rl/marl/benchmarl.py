@@ -144,8 +144,8 @@ PRESET = {
 def read_experiment(file: Path) -> Loaded:
     """Read the policy of an experiment's checkpoint, ``checkpoints/checkpoint_N.pt`` below its folder, which has ``config.pkl``.
 
-    Unpickles both. ValueError for damaged files. The policy is built for the environment in which it is to act: with shared weights
-    (``share_policy_params``, the default) for any number of satellites in the groups of the training, else for the same number.
+    Unpickles both. ValueError for damaged files. The policy is built for the environment in which it is to act, with the groups
+    of the training: for any number of satellites if weights are shared (``share_policy_params``, the default), else for the same.
     """
     try:
         with open(file.parent.parent / "config.pkl", "rb") as stream:
@@ -184,14 +184,10 @@ def read_experiment(file: Path) -> Loaded:
         expected, given = ({name: list(part.shape) for name, part in state.items()} for state in (weights, policy.state_dict()))
         if expected != given:
             name = next(name for name in (*expected, *given) if expected.get(name) != given.get(name))
-            of_each = (
-                ""
-                if config.share_policy_params
-                else "weights of each satellite (share_policy_params=False), and other satellites or "
-            )
+            own = "" if config.share_policy_params else "weights of each satellite (share_policy_params=False), another team, "
             team = ", ".join(f"{len(names)} {group}" for group, names in groups.items())
             raise ValueError(
-                f"{title} has {of_each}other observations or actions than {where} with {team}: "
+                f"{title} has {own}other observations or actions than {where} with {team}: "
                 f"{name} is {expected.get(name)}, here {given.get(name)}"
             )
         policy.load_state_dict(weights)

@@ -110,9 +110,7 @@ class SharedPolicy(TensorDictModuleBase):
         """
         super().__init__()
         if any(isinstance(key, tuple) and key[0] == "next" for key in policy.out_keys):
-            raise ValueError(
-                "the policy keeps a memory, which satellites of a constellation do not have; use 'mlp' or 'attention'"
-            )
+            raise ValueError("the policy keeps a memory, which a constellation does not pass on; train with 'attention'")
         self.policy, self.group = policy, group
         decides = "action_mask" if "action_mask" in policy.in_keys else "requires_retasking"
         self.in_keys = [(group, "observation"), (group, decides)]
