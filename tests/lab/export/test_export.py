@@ -170,11 +170,13 @@ def test_a_shield_is_part_of_the_graph_and_of_the_c_code(exported, name, tmp_pat
 def test_what_cannot_be_exported_is_named(exported, tmp_path, monkeypatch):
     file, out = exported("mlp").file, tmp_path / "out"
     relay = exported("groups").file
+    (tmp_path / "a.zip").touch()
     rows = [
         refusal(lambda: export_policy("rule", out), ValueError, "'rule'", "a rule", "run folder", "'pretrained'"),
         refusal(lambda: export_policy("plan:rollout", out), ValueError, "'plan:rollout'", "planner"),
         refusal(lambda: export_policy("mine:policy", out), ValueError, "'mine:policy'", "function of Python"),
         refusal(lambda: export_policy("pretrained", out), ValueError, "preset"),
+        refusal(lambda: export_policy(tmp_path / "a.zip", out), ValueError, "a.zip", "Stable-Baselines3", "policy file"),
         refusal(lambda: export_policy("nowhere.pt", out), FileNotFoundError, "nowhere.pt"),
         refusal(lambda: export_policy(file, out, ["onxn"]), ValueError, "'onxn'", "'onnx'"),
         refusal(lambda: export_policy(file, out, ["c"], preset="NadirScience-v1"), ValueError, "NadirScience-v1", "n_observed"),
@@ -200,7 +202,7 @@ def test_the_command_writes_the_files_and_ends_with_what_they_lack(exported, tmp
     assert "| unit |" in (tmp_path / "out" / "relay" / "contract.md").read_text()
     for arguments, message in (
         ((policy.file, "--out", tmp_path / "x"), "--onnx, --torch and --c"),
-        (("rule", "--c", "--out", tmp_path / "x"), "networks can be exported"),
+        (("rule", "--c", "--out", tmp_path / "x"), "exports its own networks"),
         ((policy.file, "--c", "--out", tmp_path / "no" / "x"), "there is no folder"),
     ):
         result = run(*arguments)
