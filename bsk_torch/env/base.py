@@ -214,8 +214,10 @@ class Tasking(Present, MadeOfArguments):
         last = fleet.ticks >= state.limit_ticks
         for satellite, images, event in zip(self.satellites, self.images, result.events, strict=True):
             of_env = satellite.simulator.state.of_env
-            end = settle if images is None or event is None else images.settle
-            end(satellite, event, of_env(moves), of_env(moves & last))
+            if images is None or event is None:
+                settle(satellite, event, of_env(moves), of_env(moves & last))
+            else:
+                images.settle(event, of_env(moves), of_env(moves & last))
         reward = self.checked.reward(before, self.checked.log())
         if not all_act:
             reward = reward * moves.unsqueeze(-1)

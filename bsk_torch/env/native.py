@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -170,7 +170,7 @@ class NativeImages:
     def __init__(self, satellite: SatelliteGroup) -> None:
         """Build the kernels."""
         self.satellite: Any = satellite
-        self.entry: Any = satellite.actions.entries[0]  # type: ignore[union-attr]
+        self.entry = cast("Image", self.satellite.actions.entries[0])
         simulator = satellite.simulator
         resets, layout = simulator.type.resets[0], simulator.state.layout
         written = [*range(layout.size)[layout.slices["r_LP_P"]], *range(layout.size)[layout.slices["image_level"]]]
@@ -183,7 +183,7 @@ class NativeImages:
         self.numbers = torch.tensor(values, dtype=NUMBER)
         self.kernel = _image_kernel(self.entry.n_actions, len(resets), tuple(planes.index(plane) for plane in written))
 
-    def settle(self, _: SatelliteGroup, event: Tensor, moves: Tensor, last: Tensor) -> None:
+    def settle(self, event: Tensor, moves: Tensor, last: Tensor) -> None:
         """See :func:`~bsk_torch.env.satellite_group.settle`."""
         task, state = self.satellite.task, self.satellite.simulator.state
         inputs = dict(
@@ -191,7 +191,7 @@ class NativeImages:
             requires=task.requires_retasking, duration=task.task_duration, key=task.previous_action,
             imaged=state.memory["imaged"], missed=state.memory["missed"],
         )  # fmt: skip
-        (ends, requires, state.memory["imaged"], state.memory["missed"]), _ = _image_end_kernel()(len(event), inputs)
+        ends, requires, state.memory["imaged"], state.memory["missed"] = _image_end_kernel()(len(event), inputs)[0]
         task.put(ends=ends, requires_retasking=requires)
 
     def prepared(self, action: Tensor, acts: Tensor) -> Callable[[Tensor, bool], None] | None:
@@ -213,7 +213,7 @@ class NativeImages:
             reset_values=values, latest=memory[Image.aim], dead=task.dead,
             **{name: task[name] for name in TASK},
         )  # fmt: skip
-        (mode, memory[Image.aim], *new), _ = self.kernel(len(action), inputs)
+        mode, memory[Image.aim], *new = self.kernel(len(action), inputs)[0]
         task.put(**dict(zip(TASK, new, strict=True)))
         state.put(mode=mode)
         state.touch()
