@@ -171,6 +171,10 @@ class Tasking(Present, MadeOfArguments):
             shape = list(self.full_action_spec[self.action_keys[0]].shape)
             messages.reject_call(type(self).__name__, name, tensordict, list(self.batch_size), shape)
 
+    def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
+        """Return the entries of a step, which are complete: TorchRL looks for missing ends and for rewards of other shapes."""
+        return super()._step_proc_data(next_tensordict_out) if self.run_type_checks else next_tensordict_out
+
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: object) -> TensorDict:
         if unknown:
             messages.check_reset(type(self).__name__, unknown)

@@ -255,7 +255,7 @@ class ConstellationTasking(Tasking):
         members: list[list[Command]] = [[] for _ in self.satellites]
         for group, action in zip(self.groups, commands, strict=True):
             for m, (t, within, chosen) in enumerate(zip(group.types, group.within, self._checked(group, action), strict=True)):
-                counts = acts(chosen, self.satellites[t], 1)
+                counts = acts(chosen, self.satellites[t], True)
                 if self.options.only_retask_idle_meta_agent_members and group.is_meta:
                     counts = counts & idle[:, group.members[:, m]]
                 members[t].append(Command(within, group.whole[m], chosen, counts))
