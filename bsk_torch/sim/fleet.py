@@ -167,7 +167,7 @@ class Fleet:
 
     def first_of_each(self, rows: Tensor, count: int) -> Tensor:
         """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
-        return rows if count == 1 else rows.view(self.num_envs, -1)[:, 0].contiguous()
+        return rows if count == 1 else rows[::count].contiguous()
 
     def joined(self, parts: Sequence[Tensor]) -> Tensor:
         """Return the rows [N * count, ...] of all types by episode and satellite, [N, S, ...]."""
