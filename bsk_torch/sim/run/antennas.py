@@ -42,7 +42,7 @@ class Antennas:
     @classmethod
     def of(cls, fleet: Fleet) -> Antennas | None:
         """Return the antennas of a fleet; None where satellites do not contend for any."""
-        limited = [s for s in fleet.simulators if ANTENNA_TICK in s.state.layout.fields]
+        limited = [s for s in fleet.simulators if s.contended]
         if fleet.size == 1 or not limited:
             return None
         stations = limited[0].type.arguments.world_args.given["groundStationsData"]
@@ -63,7 +63,7 @@ class Antennas:
         closes: list[Tensor] = []
         for simulator in self.fleet.simulators:
             never = simulator.sim_time.new_full((len(simulator.sim_time), len(self.number)), torch.inf)
-            if ANTENNA_TICK not in simulator.state.layout.fields:
+            if not simulator.contended:
                 opens, closes = [*opens, never], [*closes, never]
                 continue
             now, access = simulator.sim_time, simulator.lookahead.access
@@ -97,7 +97,7 @@ class Antennas:
         _, turn = self._turns(until.double() * fleet.h)
         tick = torch.where(turn > -torch.inf, turn / fleet.h + 1.0, -1.0)
         for k, simulator in enumerate(fleet.simulators):
-            if ANTENNA_TICK in simulator.state.layout.fields:
+            if simulator.contended:
                 simulator.write(ANTENNA_TICK, simulator.of_env(moves), fleet.rows_of(k, tick))
 
     def wait(self) -> Tensor:
