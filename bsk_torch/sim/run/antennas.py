@@ -104,7 +104,7 @@ class Antennas:
         """Return for how long each satellite waits for an antenna in its next pass over each station, [N, S, P] s.
 
         It is 0 where one is free, and counts from now or the beginning of the pass. Those that do not transmit would begin now,
-        and all others go on.
+        and all others continue.
         """
         begin, turn = self._turns(self.fleet.sim_time)
         now = self.fleet.sim_time[:, None, None]
