@@ -14,7 +14,7 @@ episode, which fly one turn each.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -24,6 +24,7 @@ from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.tasks.sites.scene import Sites
 
 TURN = (-13.2, 87.3)
@@ -134,7 +135,7 @@ class Track(NamedTuple):
 
     @classmethod
     def of(cls, satellite: BoundAccessSatellite) -> Track:
-        """Return the present orbits."""
+        """Return the current orbits."""
         r, v = satellite.dynamics.r_BN_P, satellite.dynamics.v_BN_P
         turning = torch.stack([-r[:, 1], r[:, 0], torch.zeros_like(r[:, 0])], 1) * EARTH_ROTATION_RATE
         v_N, distance = v + turning, r.norm(dim=1, keepdim=True)
@@ -195,7 +196,7 @@ class Schedule:
         depth: Number of images of a sequence, at most.
         images: Number of images from which sequences are chosen, those whose windows close next.
         horizon: Time after which sequences are not continued, s.
-        flown: Number of first images that are tried in copies of the episode, which tell how long the turn takes; 0 for none.
+        flown: Number of first images tried in copies of the episode, which tell how long the turn takes; 0 for none.
         judgment: Numbers by which sequences are judged.
         copies: The environment of the copies.
     """
@@ -211,8 +212,8 @@ class Schedule:
 
     @torch.no_grad()
     def decide(self, action_mask: Tensor, done: Tensor) -> Tensor:
-        """Return actions, [N], for the legal ones [N, A] in the present episodes, of which those ``done`` [N, 1] have ended."""
-        satellite, actions = self.env.satellite, image_actions(self.env)
+        """Return actions, [N], for the legal ones [N, A] in the current episodes, of which those ``done`` [N, 1] have ended."""
+        satellite, actions = cast(BoundImagingSatellite, self.env.satellite), image_actions(self.env)
         ahead, track = look_ahead(satellite, self.images), Track.of(satellite)
         legal = torch.nn.functional.pad(action_mask[:, actions.start : actions.stop], (0, self.images - len(actions)))
         zero = torch.zeros(len(legal), 1, device=legal.device)
@@ -226,18 +227,18 @@ class Schedule:
             order = worth.topk(min(width, worth.shape[1]), 1).indices
             beam = Beam(*(_rows(x, order) for x in longer))
             if self.flown and not step:
-                beam = self._fly(beam, actions.start + beam.first, ahead, ~done)
+                beam = self._fly(beam, actions.start + beam.first, ~done)
         worth = beam.paid + _together(self._hope(beam, ahead)[0])
         return actions.start + beam.first.gather(1, worth.argmax(1, keepdim=True)).squeeze(1)
 
-    def _fly(self, beam: Beam, action: Tensor, ahead: Ahead, playing: Tensor) -> Beam:
+    def _fly(self, beam: Beam, action: Tensor, playing: Tensor) -> Beam:
         """Return sequences of one image as they are flown: with the time of the image, and without those that fail."""
         n, width = action.shape
         if self.copies is None or self.copies.num_envs != n * width:
             self.copies = self.env.like(n * width)
         copies, places = self.copies, torch.arange(n * width, device=action.device)
         copies.restore(self.env, places, places // width)
-        satellite = copies.satellite
+        satellite = cast(BoundImagingSatellite, copies.satellite)
         start, before = copies.fleet.sim_time, satellite.imaged
         now = copies.observe().set("action", action.flatten()).set("_step", playing.expand(-1, width).flatten())
         copies.step(now)
@@ -348,7 +349,7 @@ def schedule(
     flown: int = 4,
     **numbers: float,
 ) -> TensorDictModule:
-    """Return a :class:`Schedule` for an environment like Sites-v1, in whose present episodes it decides.
+    """Return a :class:`Schedule` for an environment like Sites-v1, in whose current episodes it decides.
 
     Args:
         env: The environment.
@@ -357,7 +358,7 @@ def schedule(
         depth: Number of images of a sequence, at most.
         images: Number of images from which sequences are chosen, at least those observed.
         horizon: Time after which sequences are not continued, s.
-        flown: Number of first images that are flown in copies; 0 for none.
+        flown: Number of first images flown in copies; 0 for none.
         **numbers: Numbers of :class:`Judgment` that replace the defaults.
     """
     rule = Schedule(env, width, depth, images, horizon, flown, Judgment(**numbers))
