@@ -4,7 +4,8 @@ What surrounds a run is a hundred operations on N numbers: which modes actions e
 earned. :class:`NativePhases` traces the functions of these phases themselves (``decide`` and ``command``, the ticks to run,
 ``settle``, ``died``, the judgment) into three loops over the rows (:mod:`bsk_torch.codegen.rows`), so each rule is written once,
 and the numbers are torch's bit for bit. Environments whose phases call users' code, or have events, keep the phases on tensors;
-:func:`reason_for_tensors` names the reason, and ``bsk-torch schedule`` prints it.
+:func:`reason_for_tensors` names the reason, and ``bsk-torch schedule`` prints it. Also in these, :class:`NativeImages` decides
+and commands satellites that only image, alone or in a constellation.
 """
 
 from __future__ import annotations
