@@ -4,8 +4,8 @@ Usage:
     python benchmarks/thruster_rules.py [--preset CWDocking-v1] [--settings 256] [--episodes 256] [--first 7700000]
         [--runs FOLDER ...] [--out FILE.json]
 
-All play the same unseen episodes, and gains over the tuned rule are paired. The share is the gain as a part of the way from random
-actions to the upper bound, which no policy can exceed: see ``docking_bound`` and ``MOST_INSPECTED``.
+All play the same unseen episodes, and gains over the tuned rule are paired. The share is the gain as a part of the way from
+random actions to the upper bound, which no policy can exceed: see ``docking_bound`` and ``MOST_INSPECTED``.
 """
 
 from __future__ import annotations

@@ -18,7 +18,6 @@ from typing import ParamSpec
 
 import torch
 
-import bsk_torch
 from bsk_torch.codegen.build import processor
 from bsk_torch.codegen.cache import PRIVATE, build_folder, cache_folder, check_owner, read_trusted
 from bsk_torch.codegen.kernel import Kernel, Printed
@@ -26,7 +25,7 @@ from bsk_torch.codegen.kernel import Kernel, Printed
 P = ParamSpec("P")
 
 PARTS = ("astro", "codegen", "sim")
-"""What kernels are traced from, with the modules beside these; imports run one way, so that nothing else can change them."""
+"""What kernels are traced from, with the modules next to these; imports run one way, so that nothing else can change them."""
 
 SEAL = hashlib.sha256().digest_size
 """Bytes of the hash at the beginning of a file."""
@@ -35,13 +34,13 @@ SEAL = hashlib.sha256().digest_size
 @cache
 def source_hash() -> bytes:
     """Return a hash of source and tables of the :data:`PARTS`, and of what else traces depend on."""
-    found = hashlib.sha256("\n".join([sys.version, torch.__version__, processor()]).encode())
-    folder = Path(bsk_torch.__file__).parent
+    total = hashlib.sha256("\n".join([sys.version, torch.__version__, processor()]).encode())
+    folder = Path(__file__).parents[1]
     files = [*folder.glob("*.py"), *(path for part in PARTS for path in (folder / part).rglob("*.*"))]
     for path in sorted(files):
         if path.suffix != ".pyc":
-            found.update(str(path.relative_to(folder)).encode() + path.read_bytes())
-    return found.digest()
+            total.update(str(path.relative_to(folder)).encode() + path.read_bytes())
+    return total.digest()
 
 
 def stored_kernel(make: Callable[P, Kernel]) -> Callable[P, Kernel]:
