@@ -31,7 +31,6 @@ from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.files import policy_of_file
-from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.tasks.safe_autonomy.rules import glide
 
 SIDE = Path(__file__).with_name("safe_autonomy_side.py")
@@ -59,9 +58,8 @@ COLUMNS = {
 
 def rush(env: SatelliteTasking) -> TensorDictModuleBase:
     """Return a policy that docks above the safe speed."""
-    decide = partial(glide, share=1.5)
-    description = env.satellite.observation_description
-    return TensorDictModule(lambda seen: decide(Columns(seen, description), 1.0), in_keys=["observation"], out_keys=["action"])
+    decide = partial(glide, description=env.satellite.observation_description, most=1.0, share=1.5)
+    return TensorDictModule(decide, in_keys=["observation"], out_keys=["action"])
 
 
 def interquartile_mean(values: torch.Tensor) -> float:

@@ -2,14 +2,15 @@
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--gain convex] [--risk 0] [--settings 128] [--episodes 256] [--planned 16]
-        [--horizon 180] [--futures 4 12] [--tried 8] [--time-limit 2850] [--base FOLDER] [--first 7500000] [--runs FOLDER ...]
-        [--join FILE.json ...] [--out FILE.json]
+        [--horizon 180] [--futures 4 12] [--tried 8] [--schedules 8] [--time-limit 2850] [--base FOLDER] [--first 7500000]
+        [--runs FOLDER ...] [--join FILE.json ...] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
 share is this gain as a part of the way from random actions to the entrant, or to the tuned rule if that is farther. ``--settings
-0`` takes the tuned numbers of ``--out``, or those of the package. ``--runs`` are folders of trainings;
-planners with 0 futures know the weather. Entrants that are measured again replace their rows of ``--out``, others stay. Planners
-take long: several runs, with another ``--first`` each, can share their episodes, which ``--join`` collects.
+0`` takes the tuned numbers of ``--out``, or those of the package. ``--runs`` are folders of trainings; planners with 0 futures
+know the weather. ``--schedules`` are widths of the search of ``bsk_torch.tasks.sites.schedule``, which flies all episodes.
+Entrants that are measured again replace their rows of ``--out``, others stay. Planners take long: several runs, with another
+``--first`` each, can share their episodes, which ``--join`` collects.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.policies.shared_policy import member_view, shared
 from bsk_torch.tasks.sites.rules import CommitRule, commit
+from bsk_torch.tasks.sites.schedule import schedule
 
 FIRST = 7_500_000
 """First seed of the episodes in which entrants are compared."""
@@ -127,6 +129,7 @@ def main() -> None:
         time_limit=ORBIT / 2, gain="complete", risk=0.4,
     )  # fmt: skip
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
+    parsed.add_argument("--schedules", nargs="*", type=int, default=[], metavar="WIDTH", help="widths of beam searches")
     parsed.add_argument("--base", type=Path, metavar="FOLDER", help="training whose policy planners improve instead of the rule")
     parsed.add_argument(
         "--join", nargs="*", type=Path, default=[], metavar="FILE", help="files whose planners flew other episodes"
@@ -170,6 +173,8 @@ def main() -> None:
     enter(TUNED, tuned_rule(env), env)
     if team:
         enter(ALONE, shared(commit(member_view(env), coordinated=False), env), env)
+    for width in options.schedules:
+        enter(f"schedule, width {width}", schedule(env, width=width), env)
     for folder in options.runs:
         where = environment(options, options.episodes, as_set=True)
         enter(f"policy {folder.name}", bsk_torch.load_policy(folder, where), where)

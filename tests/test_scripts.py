@@ -96,7 +96,7 @@ benchmarks/aeossp_flown.py --folder {flights} --cases small --plans solution.jso
   compiled: \| small \| solution \| 5 \|
 benchmarks/aeossp_policy.py --folder {flights} --case small --learn small --frames 32 --num-envs 2
   compiled: (?s)\| small \| farsighted \| [01]\.\d+ \|.*\| small \| policy \| [01]\.\d+ \|
-benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --time-limit 300 --out sites.json
+benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --schedules 2 --time-limit 300 --out sites.json
   compiled: commit
 benchmarks/sites_imitation.py --seeds 0 --rounds 2 --episodes 4 --evaluate 4 --horizon 60 --epochs 1 --hidden 32 --time-limit 300
   compiled: imitation, seed 0
@@ -106,9 +106,11 @@ benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-loca
   compiled: (?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \|[ ]
 benchmarks/crews.py --episodes 2 --time-limit 300 --targets 12 --rules prompt
   compiled: (?s)\| prompt \| [\d.]+ \+- [\d.]+ \| .*\| \+0.0 \+- 0.0 \|
-benchmarks/safe_autonomy.py --episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps
-    2 --backend eager
-  compiled: (?s)\| CWDocking-v1 \| glide \| asif \| 0.0% \| - \| 0.0% \|.*\| CWDocking-v1 \| bsk_torch \| 2 \| [\d,]+[ ]
+benchmarks/safe_autonomy.py --episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide rush --turns 1
+    --steps 2 --backend eager
+  compiled: (?s)\| CWDocking-v1 \| rush \| asif \| 0.0% \| - \| 0.0% \|.*\| CWDocking-v1 \| bsk_torch \| 2 \| [\d,]+[ ]
+benchmarks/thruster_rules.py --settings 2 --episodes 2
+  compiled: (?s)\| glide, tuned \| [\d.]+ \+- [\d.]+ \| \+0.0+ .*upper bound [23]\.\d
 benchmarks/learners.py --learners single-file-PPO --seeds 0 --episodes 2 --settings steps=64 num-envs=4 rollout=8
     time-limit=300
   compiled: \| single-file-PPO \| 0 \| 64 \| \d+ \| [-\d.]+ \+- [\d.]+ \| [-+][\d.]+ \+- [\d.]+ \|[ ]

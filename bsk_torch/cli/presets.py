@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bsk_torch._listed import LISTED, ONE, makings, scores
+from bsk_torch._listed import KNOWN, LISTED, ONE, makings, scores
 from bsk_torch._rooms import absent_room
 from bsk_torch.tables import line_width, print_table
 
@@ -44,16 +44,17 @@ SCORED = (
 
 
 def scored(name: str) -> str:
-    """Return the line of a preset on its best rule and its pretrained policy; empty where nothing is measured."""
+    """Return the line of a preset on its best rule and its pretrained policy."""
     entry = scores().get(name)
     if entry is None:
-        return ""
+        return "\nno scores: to measure all policies takes core-minutes"
     returns, gain = {policy: row["mean"] for policy, row in entry["policies"].items()}, entry["gain"]
     random, rule = returns["random"], returns[entry["best_rule"]]
     digits = 3 if abs(rule) < 10.0 else 1
     line = f"\n{entry['best_rule']} {rule:.{digits}f}, "
     if gain is None:
-        return f"{line}no policy, n={entry['episodes']}"
+        known = f" ({KNOWN[name]})" if name in KNOWN else ""
+        return f"{line}no policy{known}, n={entry['episodes']}"
     policy = returns["pretrained"]
     share = gain["mean"] / (max(policy, rule) - random)
     interval = f"{gain['mean']:+.{digits}f} ± {gain['half_width']:.{digits}f}"

@@ -303,6 +303,16 @@ class Loop:
             raise ValueError(f"clock={self.clock!r} must be one of {list(CLOCKS)} or a row of the state")
 
     @property
+    def records(self) -> list[int]:
+        """Least number of records of each track."""
+        return [track.count for track in self.tracks]
+
+    @property
+    def writes(self) -> int:
+        """Numbers written in each tick."""
+        return len(self.written)
+
+    @property
     def results(self) -> list[Value]:
         """Values for whose sake all others are computed."""
         return [*self.outputs, *self.written, *([] if self.stop is None else [self.stop])]

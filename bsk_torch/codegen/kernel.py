@@ -27,6 +27,21 @@ class Samples(NamedTuple):
     owner: Tensor | None = None
 
 
+class Printed(NamedTuple):
+    """A loop without a stop as C++: its source, the types of its parameters, and what calls check."""
+
+    source: str
+    signature: str
+    records: Sequence[int]  # least number of records of each track
+    writes: int  # numbers written in each tick
+
+    @staticmethod
+    def of(loop: Loop, lockstep: bool = False) -> Printed:
+        """Print a loop."""
+        lowered = lower(loop, lockstep)
+        return Printed(cpp.source(lowered, build.INCLUDE), cpp.signature(lowered), loop.records, loop.writes)
+
+
 class Entry(NamedTuple):
     """A library: rows in a block, and its function."""
 
@@ -34,11 +49,11 @@ class Entry(NamedTuple):
     run: Callable[..., None]
 
     @staticmethod
-    def of(loop: Loop, lockstep: bool, name: str) -> Entry:
+    def of(loop: Loop | Printed, lockstep: bool, name: str) -> Entry:
         """Build the library of a loop, or load it; ``name`` is used in messages."""
-        lowered = lower(loop, lockstep)
-        library = build.load(cpp.source(lowered, build.INCLUDE), name)
-        return Entry(library.lanes_width(), build.entry(library, cpp.signature(lowered)))
+        printed = loop if isinstance(loop, Printed) else Printed.of(loop, lockstep)
+        library = build.load(printed.source, name)
+        return Entry(library.lanes_width(), build.entry(library, printed.signature))
 
 
 class Kernel:
@@ -47,12 +62,13 @@ class Kernel:
     A loop with a stop has two libraries: one in which each row ends by itself, and one in which groups of rows run in lockstep.
     """
 
-    def __init__(self, name: str, loop: Loop, lockstep: int = 1) -> None:
+    def __init__(self, name: str, loop: Loop | Printed, lockstep: int = 1) -> None:
         """Build the library for groups of ``lockstep`` rows, or load it; the other one waits until it is needed.
 
         ``name`` is used in messages.
         """
-        self.name, self.loop = name, loop
+        self.name, self.stops = name, isinstance(loop, Loop) and loop.stop is not None
+        self.loop = loop if isinstance(loop, Printed) or self.stops else Printed.of(loop)
         self.build(lockstep)
 
     @cached_property
@@ -63,13 +79,13 @@ class Kernel:
     @cached_property
     def lockstep(self) -> Entry:
         """The library in which the rows of a group end together."""
-        if self.loop.stop is None:
+        if not self.stops:
             raise ValueError(f"the {self.name} has no stop: its rows cannot run in lockstep")
         return Entry.of(self.loop, True, f"{self.name} in lockstep")
 
     def build(self, lockstep: int) -> Entry:
         """Return the library for groups of ``lockstep`` rows, which is built or loaded first, so that no call has to wait."""
-        return self.lockstep if self.loop.stop is not None and lockstep > 1 else self.independent
+        return self.lockstep if self.stops and lockstep > 1 else self.independent
 
     def __call__(
         self,
@@ -116,17 +132,15 @@ class Kernel:
             ValueError: For a tensor that is not contiguous or of another type, a table with too few records, a mode without
                 flags, groups that do not fit the rows, or no room for what the kernel writes.
         """
-        is_uniform, stops = isinstance(counts, int), self.loop.stop is not None
+        is_uniform = isinstance(counts, int)
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
         _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *itertools.chain(*tracks)))
-        for track, samples in zip(self.loop.tracks, tracks, strict=True):
-            if samples.table.shape[1] < track.count:
-                raise ValueError(
-                    f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
-                )
-        if (written is None) == bool(self.loop.written):
+        for least, samples in zip(self.loop.records, tracks, strict=True):
+            if samples.table.shape[1] < least:
+                raise ValueError(f"a kernel got a table {list(samples.table.shape)}; it must have at least {least} records a row")
+        if (written is None) == bool(self.loop.writes):
             must = "must not" if written is None else "must"
-            raise ValueError(f"the {self.name} writes {len(self.loop.written)} numbers a tick; written {must} be None")
+            raise ValueError(f"the {self.name} writes {self.loop.writes} numbers a tick; written {must} be None")
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
         if mode is not None and n:
             low, high = map(int, torch.aminmax(mode))
@@ -135,7 +149,7 @@ class Kernel:
         packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
         records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
         expected, entry = counts if expected_ticks is None else expected_ticks, self.build(lockstep)
-        if stops and lockstep > 1:
+        if self.stops and lockstep > 1:
             check_groups(counts, lockstep)
             tiles = in_tiles(counts, expected, mode, lockstep, entry.width, present)
             room = () if written is None else (written, written.stride(0))
@@ -149,7 +163,7 @@ class Kernel:
         blocks = len(rows) // entry.width
         stride = 0 if written is None else written.stride(0)
         entry.run(blocks, max(1, min(blocks, torch.get_num_threads())), rows, ends, *packs, written, stride, *records)
-        ran = torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
+        ran = torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if self.stops else counts
         return ran if present is None else torch.where(present, ran, all_counts)
 
     def fly(

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -94,6 +95,14 @@ class Table:
         return Batch(self._tracer._intern("lookup", (proxy,), self.argument, dtype, TICK))
 
 
+class Columns(Batch):
+    """A tensor [N, K], all numbers of a row of a table."""
+
+    def __init__(self, table: Table, count: int) -> None:
+        super().__init__(np.stack([table[k].cells for k in range(count)]))
+        self.gather = table.gather
+
+
 class RowTrace:
     """The arguments of a kernel of rows, for the code that it computes."""
 
@@ -165,9 +174,9 @@ class RowKernel:
             if looked_up:
                 arguments.append(argument.numel() if looked_up == "table" else argument.shape[-1])
         outputs = [torch.empty(n, *shape, dtype=dtype) for dtype, shape in self._outputs]
-        largest = torch.empty(self._largest or 1, dtype=torch.float64)
+        largest = torch.empty(self._largest, dtype=torch.float64) if self._largest else None
         self._run(n, *arguments, *outputs, largest)
-        return outputs, largest.tolist() if self._largest else []
+        return outputs, [] if largest is None else largest.tolist()
 
 
 def _value(value: object) -> Value:

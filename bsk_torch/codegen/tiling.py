@@ -76,9 +76,8 @@ def check_groups(counts: Tensor, group: int) -> None:
     """Raise ValueError for ``counts`` [n] that are not those of groups of ``group`` rows."""
     if len(counts) % group:
         raise ValueError(f"lockstep={group} must divide the number of rows, {len(counts)}")
-    uneven = torch.nonzero((counts.view(-1, group) != counts[::group, None]).any(1))
-    if len(uneven):
-        first = int(uneven[0])
+    if not torch.equal(counts, counts[::group].repeat_interleave(group)):
+        first = int(torch.nonzero((counts.view(-1, group) != counts[::group, None]).any(1))[0])
         numbers = counts.view(-1, group)[first].unique().tolist()
         raise ValueError(f"counts of group {first} are {numbers}; rows in lockstep must have the same number of ticks")
 

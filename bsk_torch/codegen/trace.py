@@ -221,6 +221,7 @@ FUNCTIONS: dict[str, Callable[..., Proxy]] = {
     "rad2deg": lambda x: _numeric("mul")(x, 180.0 / math.pi),
     "clamp": _clamp,
     "where": _where,
+    "masked_fill": lambda x, mask, value: _where(mask, value, x),
     "isnan": lambda x: _comparison("ne")(x, x),
     "isinf": lambda x: _comparison("eq")(_numeric("abs")(x), math.inf),
     "isfinite": lambda x: _comparison("lt")(_numeric("abs")(x), math.inf),

@@ -158,7 +158,7 @@ class UniqueImageReward(ImageReward):
 
     @override
     def selectable(self) -> Tensor:
-        return self.scenario.available.unsqueeze(1) & ~self.known
+        return self.scenario.available.unsqueeze(1) > self.known  # and not known, by one operation
 
     @override
     def value(self, target: Tensor, taken: Tensor) -> Tensor:

@@ -153,15 +153,16 @@ def _joined(title: str, action: Any, builder: ContinuousBuilder, shape: tuple[in
     return torch.cat([values, choice.to(values.dtype).unsqueeze(-1)], -1)
 
 
-def acts(action: Tensor, satellite: SatelliteGroup, extra: int = 0) -> Tensor:
+def acts(action: Tensor, satellite: SatelliteGroup, extra: bool = False) -> Tensor:
     """Return which actions [...], [..., A] or [..., A + 1] are new tasks instead of continuing the current one.
 
     ``NO_ACTION`` continues the task, in all numbers of a continuous action (within 1 of it, because single precision cannot
-    represent it) or as the choice of a hybrid one. So do the ``extra`` actions or choices after those of the satellite.
+    represent it) or as the choice of a hybrid one. So does, with ``extra``, the action or choice after those of the satellite.
     """
     builder, n = form(satellite), satellite.actions.n_actions
     if builder is None:
-        return ~((action >= n) & (action < n + extra)) & (action != NO_ACTION)
+        new = action != NO_ACTION
+        return new & (action != n) if extra else new
     close = (action - NO_ACTION).abs() <= CLOSE
     if not builder.is_hybrid:
         return ~close.all(-1)

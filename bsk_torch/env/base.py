@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import functools
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -28,9 +29,10 @@ from bsk_torch.env.episodes import EpisodePool
 from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.limits import ENDLESS
 from bsk_torch.env.log import StepLog, configure
+from bsk_torch.env.native import NativeImages
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
-from bsk_torch.env.satellite_group import SatelliteGroup, command, died, first_task_end, groups_of, settle_all, soonest
+from bsk_torch.env.satellite_group import SatelliteGroup, command, died, first_task_end, groups_of, settle, soonest
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.obs.base import Values
 from bsk_torch.sats.satellite import Satellite, common_dtype
@@ -169,6 +171,10 @@ class Tasking(Present, MadeOfArguments):
             shape = list(self.full_action_spec[self.action_keys[0]].shape)
             messages.reject_call(type(self).__name__, name, tensordict, list(self.batch_size), shape)
 
+    def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
+        """Return the entries of a step, which are complete: TorchRL looks for missing ends and for rewards of other shapes."""
+        return super()._step_proc_data(next_tensordict_out) if self.run_type_checks else next_tensordict_out
+
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: object) -> TensorDict:
         if unknown:
             messages.check_reset(type(self).__name__, unknown)
@@ -198,13 +204,10 @@ class Tasking(Present, MadeOfArguments):
         fleet, state, removed = self.fleet, self.state, self.state.removed
         start = fleet.since = fleet.ticks
         before = self.checked.log()
-        commanded = []
-        for satellite, action, executed in zip(self.satellites, actions, acts, strict=True):
-            decision = satellite.actions.decide(action, satellite.task.previous_action, executed)
-            commanded.append((satellite, action, self._begins(satellite, executed, decision), decision))
+        begins = [self._decided(*each) for each in zip(self.satellites, self.images, actions, acts, strict=True)]
         self.guard.change(moves)
-        for satellite, action, executed, decision in commanded:
-            command(satellite, action, executed, decision, satellite.simulator.state.of_env(moves), all_act)
+        for satellite, begin in zip(self.satellites, begins, strict=True):
+            begin(satellite.simulator.state.of_env(moves), all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
             log.decided(acts)
@@ -213,7 +216,12 @@ class Tasking(Present, MadeOfArguments):
         expected = [soonest(satellite.task.expected, satellite.simulator.count) for satellite in self.satellites]
         result = fleet.run(moves, state.limit_ticks, until, expected)
         last = fleet.ticks >= state.limit_ticks
-        settle_all(self.satellites, result, moves, moves & last)
+        for satellite, images, event in zip(self.satellites, self.images, result.events, strict=True):
+            of_env = satellite.simulator.state.of_env
+            if images is None or event is None:
+                settle(satellite, event, of_env(moves), of_env(moves & last))
+            else:
+                images.settle(event, of_env(moves), of_env(moves & last))
         reward = self.checked.reward(before, self.checked.log())
         if not all_act:
             reward = reward * moves.unsqueeze(-1)
@@ -229,6 +237,25 @@ class Tasking(Present, MadeOfArguments):
         if log is not None:
             log.after(counters, outcome, moves)
         return outcome
+
+    @functools.cached_property
+    def images(self) -> list[NativeImages | None]:
+        """Kernels that decide and command the satellites of each type; None where that is done on tensors."""
+        return [NativeImages.of(satellite) for satellite in self.satellites]
+
+    def _begin(self, envs: Tensor) -> None:
+        _ = self.images  # before the first step, so that no step waits for the compiler
+        super()._begin(envs)
+
+    def _decided(
+        self, satellites: SatelliteGroup, images: NativeImages | None, action: Tensor, acts: Tensor
+    ) -> Callable[[Tensor, bool], None]:
+        """Return the function that begins the ``action`` [N] of a type where ``acts`` [N] holds; it takes the rows that move."""
+        begin = None if images is None else images.prepared(action, acts)
+        if begin is not None:
+            return begin
+        decision = satellites.actions.decide(action, satellites.task.previous_action, acts)
+        return functools.partial(command, satellites, action, self._begins(satellites, acts, decision), decision)
 
     def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
         """Return which satellites of a type begin a task, [N * count], of those that execute an action (default: all of them)."""

@@ -19,6 +19,7 @@ from bsk_torch.env import messages
 from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
+from bsk_torch.env.native import NativeImages
 from bsk_torch.env.options import ConstellationOptions, parse, takes
 from bsk_torch.env.satellite_group import SatelliteGroup, cancel
 from bsk_torch.formations import Formation
@@ -254,7 +255,7 @@ class ConstellationTasking(Tasking):
         members: list[list[Command]] = [[] for _ in self.satellites]
         for group, action in zip(self.groups, commands, strict=True):
             for m, (t, within, chosen) in enumerate(zip(group.types, group.within, self._checked(group, action), strict=True)):
-                counts = acts(chosen, self.satellites[t], 1)
+                counts = acts(chosen, self.satellites[t], True)
                 if self.options.only_retask_idle_meta_agent_members and group.is_meta:
                     counts = counts & idle[:, group.members[:, m]]
                 members[t].append(Command(within, group.whole[m], chosen, counts))
@@ -266,6 +267,11 @@ class ConstellationTasking(Tasking):
             checked.append(satellites.actions.checked(action.flatten(0, 1), rows[-1]))
         self._warn_of_idle(rows, moves)
         return checked, rows
+
+    @functools.cached_property
+    def images(self) -> list[NativeImages | None]:
+        """See :attr:`Tasking.images`; None where the action in progress may be chosen again."""
+        return [None] * len(self.satellites) if self.options.continue_repeated else super().images
 
     def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
         if not self.options.continue_repeated or not isinstance(satellites.actions, ActionBuilder):

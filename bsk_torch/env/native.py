@@ -4,26 +4,31 @@ What surrounds a run is a hundred operations on N numbers: which modes actions e
 earned. :class:`NativePhases` traces the functions of these phases themselves (``decide`` and ``command``, the ticks to run,
 ``settle``, ``died``, the judgment) into three loops over the rows (:mod:`bsk_torch.codegen.rows`), so each rule is written once,
 and the numbers are torch's bit for bit. Environments whose phases call users' code, or have events, keep the phases on tensors;
-:func:`reason_for_tensors` names the reason, and ``bsk-torch schedule`` prints it.
+:func:`reason_for_tensors` names the reason, and ``bsk-torch schedule`` prints it. Also in these, :class:`NativeImages` decides
+and commands satellites that only image, alone or in a constellation.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
 
 from bsk_torch.act.base import ActionBuilder, ActionTable
+from bsk_torch.act.image import Image
 from bsk_torch.codegen.kept import of_package
 from bsk_torch.codegen.kernel import Kernel
-from bsk_torch.codegen.rows import RowKernel, RowTrace
+from bsk_torch.codegen.rows import Columns, RowKernel, RowTrace
 from bsk_torch.constants import NANO
 from bsk_torch.data.composed import add_totals
-from bsk_torch.env.satellite_group import command, first_task_end, settle
+from bsk_torch.env.satellite_group import SatelliteGroup, command, first_task_end, settle
 from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.imaging import BoundImagingSatellite
+from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sim.fleet import ticks_to_run
 from bsk_torch.sim.orbit.arcs import REACH_AROUND
 from bsk_torch.sim.readout.model import Model
@@ -148,6 +153,160 @@ class NativePhases:
         episodes.put(returns=returns)
         flags = {"terminated": terminated, "truncated": truncated, "done": done}
         return {"reward": reward.to(env.dtype), **flags, "duration": duration.to(env.dtype)}
+
+
+class NativeImages:
+    """Decides and commands satellites that only image, in one kernel; targets chosen by their index are left to tensors."""
+
+    @classmethod
+    def of(cls, satellite: SatelliteGroup) -> NativeImages | None:
+        """Return the kernel of satellites of one type; None where :class:`~bsk_torch.act.Image` is not all that they do."""
+        simulator, actions = satellite.simulator, satellite.actions
+        compiled = isinstance(simulator.runners.run, Kernel) and simulator.observer.kernels
+        images = isinstance(actions, ActionBuilder) and [type(entry) for entry in actions.entries] == [Image]
+        plain = getattr(type(satellite), "note_events", None) is BoundImagingSatellite.note_events
+        others = simulator.type.instruments or simulator.has_tank
+        return cls(satellite) if compiled and images and plain and not others else None
+
+    def __init__(self, satellite: SatelliteGroup) -> None:
+        """Build the kernels."""
+        self.satellite: Any = satellite
+        self.entry = cast("Image", self.satellite.actions.entries[0])
+        simulator = satellite.simulator
+        resets, layout = simulator.type.resets[0], simulator.state.layout
+        written = [*range(layout.size)[layout.slices["r_LP_P"]], *range(layout.size)[layout.slices["image_level"]]]
+        planes = list(dict.fromkeys([*resets.tolist(), *written]))
+        self.planes = torch.tensor(planes)
+        values = (
+            *(simulator.h_ns, len(simulator.mode_names), simulator.mode_names.index(self.entry.flight_mode)),
+            *(self.entry.max_duration, satellite.segment),
+        )
+        self.numbers = torch.tensor(values, dtype=NUMBER)
+        self.kernel = _image_kernel(self.entry.n_actions, len(resets), tuple(planes.index(plane) for plane in written))
+
+    def settle(self, event: Tensor, moves: Tensor, last: Tensor) -> None:
+        """See :func:`~bsk_torch.env.satellite_group.settle`."""
+        task, state = self.satellite.task, self.satellite.simulator.state
+        inputs = dict(
+            numbers=self.numbers, ticks=state.ticks, event=event, moves=moves, last=last, ends=task.ends,
+            requires=task.requires_retasking, duration=task.task_duration, key=task.previous_action,
+            imaged=state.memory["imaged"], missed=state.memory["missed"],
+        )  # fmt: skip
+        ends, requires, state.memory["imaged"], state.memory["missed"] = _image_end_kernel()(len(event), inputs)[0]
+        task.put(ends=ends, requires_retasking=requires)
+
+    def prepared(self, action: Tensor, acts: Tensor) -> Callable[[Tensor, bool], None] | None:
+        """Return the function that begins ``action`` [N] where ``acts`` [N] holds, as :func:`command`; None for an index."""
+        entry, satellite = self.entry, self.satellite
+        if entry.by_index:
+            return None
+        windows = satellite.find_next_opportunities(entry.n_actions, entry.kind, (action + 1) * acts)
+        level = satellite.dynamics.partition_levels[:, 0].contiguous()
+        return functools.partial(self._begin, action, acts.contiguous(), windows, level)
+
+    def _begin(self, action: Tensor, acts: Tensor, windows: Opportunities, level: Tensor, moves: Tensor, _: bool) -> None:
+        task, state = self.satellite.task, self.satellite.simulator.state
+        memory, (_, resets, values) = state.memory, self.satellite.simulator.type.resets
+        inputs = dict(
+            numbers=self.numbers, chosen=action, acts=acts, moves=moves.contiguous(), place=windows.place, open=windows.open,
+            close=windows.close, found=windows.found, sites=windows.r_LP_P.flatten(1), level=level, now=state.ticks,
+            time=state.sim_time, mode=state.mode, planes=state.planes, reset_planes=self.planes, resets=resets,
+            reset_values=values, latest=memory[Image.aim], dead=task.dead,
+            **{name: task[name] for name in TASK},
+        )  # fmt: skip
+        mode, memory[Image.aim], *new = self.kernel(len(action), inputs)[0]
+        task.put(**dict(zip(TASK, new, strict=True)))
+        state.put(mode=mode)
+        state.touch()
+
+
+TASK = {
+    **{"requires_retasking": TRUTH, "ends": TICKS, "expected": TICKS, "action": TICKS},
+    **{"task_duration": NUMBER, "previous_action": TICKS},
+}
+"""Tensors of tasks that a command changes."""
+
+
+class _Traced(SimpleNamespace):
+    """A table of a state, or what has its members, while a kernel is traced."""
+
+    def __getitem__(self, name: str) -> Any:
+        return getattr(self, name)
+
+    def __setitem__(self, name: str, value: object) -> None:
+        setattr(self, name, value)
+
+
+@functools.cache
+def _image_kernel(choices: int, resets: int, written: tuple[int, ...]) -> RowKernel:
+    """Decide and command among ``choices`` windows; r_LP_P and ``image_level`` are the planes number ``written``."""
+    trace = RowTrace()
+    h_ns, modes, image, max_duration, segment = (trace.table("numbers", NUMBER)[k] for k in range(5))
+    action, acts, moves = trace.row("chosen", TICKS), trace.row("acts", TRUTH), trace.row("moves", TRUTH)
+    times = {name: Columns(trace.columns(name, NUMBER), choices) for name in ("open", "close")}
+    windows = SimpleNamespace(place=Columns(trace.columns("place", TICKS), choices), found=trace.row("found", TICKS), **times)
+    sites = trace.columns("sites", NUMBER)
+    r_LP_P = torch.stack([sites[action * 3 + axis] for axis in range(3)], -1).unsqueeze(1)
+    task = _Traced(**{name: trace.row(name, dtype) for name, dtype in TASK.items()}, dead=trace.row("dead", TRUTH))
+    before, memory, mode = task.previous_action, _Traced(latest_target=trace.row("latest", TICKS)), trace.row("mode", TICKS)
+    wants, values = trace.table("resets", TRUTH), trace.table("reset_values", NUMBER)
+    stored = {k: trace.plane("planes", "reset_planes", k) for k in sorted({*range(resets), *written})}
+    new, fields, entered = dict(stored), {"r_LP_P": written[:3], "image_level": written[3:]}, [mode]
+
+    def enter(rows: Any, mode: Any) -> None:
+        entered[0] = torch.where(rows, mode, entered[0])
+        for k in range(resets):
+            place = float(k) * modes + mode
+            new[k] = torch.where(wants[place] & rows, values[place], new[k])
+
+    def write(name: str, rows: Any, value: Any) -> None:
+        for k, part in zip(fields[name], value.unbind(-1) if value.ndim > 1 else (value,), strict=True):
+            new[k] = torch.where(rows, part, new[k])
+
+    state = SimpleNamespace(ticks=trace.row("now", TICKS))
+    simulator = SimpleNamespace(
+        **{"state": state, "h_ns": h_ns, "has_tank": False, "sim_time": trace.row("time", NUMBER), "memory": memory},
+        **{"mode_names": SimpleNamespace(index=lambda _: image), "command": enter, "write": write},
+    )
+    level = trace.row("level", NUMBER).unsqueeze(-1)
+    satellite = SimpleNamespace(
+        **{"simulator": simulator, "segment": segment, "dynamics": SimpleNamespace(partition_levels=level)},
+        **{"find_next_opportunities": lambda *_: windows, "positions": lambda *_: r_LP_P},
+    )
+    entry: Any = SimpleNamespace(
+        **{"satellite": satellite, "by_index": False, "n_actions": choices, "kind": "", "keys": Image.keys, "_first": 0},
+        **{"flight_mode": Image.flight_mode, "max_duration": max_duration, "_number": None, "aim": Image.aim},
+    )
+    entry.remember = functools.partial(Image.remember, entry)
+    decision = Image.decide(entry, action, acts, action, before)
+    actions = SimpleNamespace(begin=lambda _, rows, commands: Image.begin(entry, rows, commands))
+    group: Any = SimpleNamespace(task=task, simulator=simulator, actions=actions)
+    command(group, action, acts, decision, moves)
+    outputs = {"mode": (entered[0], TICKS), "latest": (memory[Image.aim], TICKS)}
+    outputs |= {name: (task[name], dtype) for name, dtype in TASK.items()}
+    return RowKernel("start of images", trace, outputs, (), {k: (plane, new[k]) for k, plane in stored.items()})
+
+
+@functools.cache
+def _image_end_kernel() -> RowKernel:
+    """The tasks that have ended, and windows that have closed without an image."""
+    trace = RowTrace()
+    max_duration, truths = trace.table("numbers", NUMBER)[3], (trace.row(name, TRUTH) for name in ("event", "moves", "last"))
+    task = SimpleNamespace(
+        ends=trace.row("ends", TICKS), requires_retasking=trace.row("requires", TRUTH), action=None,
+        task_duration=trace.row("duration", NUMBER), previous_action=trace.row("key", TICKS),
+    )  # fmt: skip
+    memory = _Traced(imaged=trace.row("imaged", TICKS), missed=trace.row("missed", TICKS))
+    state = SimpleNamespace(ticks=trace.row("ticks", TICKS), mode=None)
+    simulator = SimpleNamespace(state=state, memory=memory)
+    entry: Any = SimpleNamespace(satellite=SimpleNamespace(simulator=simulator), max_duration=max_duration)
+    actions = SimpleNamespace(end=lambda _, *ended: Image.end(entry, *ended))
+    group: Any = SimpleNamespace(task=task, simulator=simulator, actions=actions, memory=memory, imaged=memory.imaged)
+    group.note_events = functools.partial(BoundImagingSatellite.note_events, group)
+    settle(group, *truths)
+    outputs = {"ends": (task.ends, TICKS), "requires": (task.requires_retasking, TRUTH)}
+    outputs |= {name: (memory[name], TICKS) for name in ("imaged", "missed")}
+    return RowKernel("end of images", trace, outputs)
 
 
 @functools.cache

@@ -18,7 +18,6 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK
 from bsk_torch.sim.fleet import as_ticks
 from bsk_torch.sim.hooks import check_tensor, overrides
-from bsk_torch.sim.run.coupled import RunResult
 from bsk_torch.sim.run.encounters import NEVER
 
 
@@ -116,13 +115,6 @@ def first_task_end(groups: Sequence[SatelliteGroup], ticks: Tensor) -> Tensor:
         if satellites.variable_interval:
             ticks = torch.minimum(ticks, soonest(satellites.task.ends, satellites.simulator.count))
     return ticks
-
-
-def settle_all(groups: Sequence[SatelliteGroup], result: RunResult, moves: Tensor, last: Tensor) -> None:
-    """Record how a run of the episodes ``moves`` [N] ended, ``last`` [N] of which are over."""
-    for satellites, event in zip(groups, result.events, strict=True):
-        of_env = satellites.simulator.state.of_env
-        settle(satellites, event, of_env(moves), of_env(last))
 
 
 def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last: Tensor) -> None:

@@ -95,7 +95,7 @@ class SatelliteTasking(Tasking):
         return NativePhases.of(self)
 
     def _begin(self, envs: Tensor) -> None:
-        _ = self.native  # before the first step, so that no step waits for the compiler
+        _ = self.native  # as the images
         super()._begin(envs)
 
     @property

@@ -59,6 +59,14 @@ def sun_elevation(satellite: BoundAccessSatellite, opportunities: Opportunities)
     return torch.asin(sin_elevation(Vec3.of(r_SP_P), place, vertical))
 
 
+def antenna_wait(satellite: BoundAccessSatellite, stations: Opportunities) -> Tensor:
+    """Return for how long the satellite waits for an antenna in its next pass over each station, [N, n] s; see ``Antennas``."""
+    fleet = satellite.fleet
+    if fleet.antennas is None:
+        return torch.zeros_like(stations.open)
+    return fleet.rows_of(satellite.type_index, fleet.antennas.wait()).gather(1, stations.place)
+
+
 def _relative_geometry(part: slice | int) -> Preset:
     def geometry(satellite: BoundAccessSatellite, opportunities: Opportunities, instrument: int | None = None) -> Tensor:
         return satellite.aims(opportunities, instrument)[..., part]
@@ -82,6 +90,7 @@ PRESETS: dict[str, Preset] = {
     "target_angle": _relative_geometry(3),
     "target_angle_rate": _relative_geometry(4),
     "sun_elevation": sun_elevation,
+    "antenna_wait": antenna_wait,
     **REQUEST_PRESETS,
 }
 """Properties of opportunities: the allowed values of ``prop``."""
@@ -137,6 +146,10 @@ class OpportunityProperties(CandidateObservation):
                 continue
             if entry["prop"] not in PRESETS:
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
+            if entry["prop"] == "antenna_wait" and type != STATION_KIND:
+                raise ValueError(
+                    f"prop='antenna_wait' is a property of ground stations; opportunities of type {type!r} have none"
+                )
             if entry["prop"] == "priority" and not is_target(type):
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
         self.entries, self.type, self.instrument = parsed, kind, instrument

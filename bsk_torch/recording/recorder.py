@@ -535,7 +535,7 @@ def _slots(env: Tasking) -> list[tuple[str | None, int, int | None, int]]:
 
 def _decides(group: SatelliteGroup, action: Tensor) -> bool:
     """Whether an action of a satellite begins something, instead of continuing."""
-    return bool(acts(read("action", action.unsqueeze(0), group, (1,)), group, 1)[0])
+    return bool(acts(read("action", action.unsqueeze(0), group, (1,)), group, True)[0])
 
 
 def _entries(entries: TensorDictBase, at: str | None, number: int, member: int | None) -> TensorDictBase:

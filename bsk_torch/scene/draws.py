@@ -106,8 +106,8 @@ def draw_numbers(
             f"numbers, rand.Uniform, rand.Normal or rand.Choice without a size, another distribution that draws [n, {count}], "
             f"rand.per_env with {count} columns, or a callable without arguments"
         )
-    bad = ~((numbers >= low) & (numbers <= high) & numbers.isfinite())
-    if bool(bad.any()):
+    if numbers.numel() and not all(low <= end <= high and math.isfinite(end) for end in map(float, numbers.aminmax())):
+        bad = ~((numbers >= low) & (numbers <= high) & numbers.isfinite())
         row, column = (int(i) for i in torch.nonzero(bad)[0])
         asked = "it must be a finite number" + (f" in [{low:g}, {high:g}]" if math.isfinite(low) or math.isfinite(high) else "")
         worst = f"{numbers[row, column].item():g} {unit}".strip()

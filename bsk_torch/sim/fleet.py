@@ -14,6 +14,7 @@ from bsk_torch.sim.arguments.values import Overrides
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.run.antennas import Antennas
 from bsk_torch.sim.run.coupled import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
 from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -91,6 +92,7 @@ class Fleet:
         recordings: Recordings that have not been stopped.
         beginnings: Functions that an environment calls with the episodes [n] that have begun.
         encounters: Conjunctions and ranges of the satellites.
+        antennas: Antennas of ground stations for which satellites contend; None without.
     """
 
     def __init__(
@@ -137,6 +139,7 @@ class Fleet:
             if varies:
                 simulator.state.declare("present", True)
         self.encounters = Encounters(self, pairs, compat)
+        self.antennas = Antennas.of(self)
 
     def place_of(self, name: str) -> tuple[int, int]:
         """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
@@ -167,7 +170,7 @@ class Fleet:
 
     def first_of_each(self, rows: Tensor, count: int) -> Tensor:
         """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
-        return rows if count == 1 else rows.view(self.num_envs, -1)[:, 0].contiguous()
+        return rows if count == 1 else rows[::count].contiguous()
 
     def joined(self, parts: Sequence[Tensor]) -> Tensor:
         """Return the rows [N * count, ...] of all types by episode and satellite, [N, S, ...]."""
@@ -265,6 +268,8 @@ class Fleet:
         an event does, and ``expected`` [N] that at which events of each type of satellites will probably end it; a matter of
         speed only.
         """
+        if self.antennas is not None:
+            self.antennas.assign(moves, torch.minimum(until, limit_ticks))
         now = self.ticks
         ends, remaining = ticks_to_run(now, limit_ticks, until, moves)
         probably = [ends] * len(self.simulators) if expected is None else [ticks - now for ticks in expected]

@@ -27,6 +27,7 @@ from bsk_torch.sim.component import Values, asked
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import ENDINGS, notice_image
+from bsk_torch.sim.environment.world import ANTENNA_TICK
 from bsk_torch.sim.faults.coming import drawn_again
 from bsk_torch.sim.faults.component import SLOT, severities
 from bsk_torch.sim.fsw.manoeuvre import burn
@@ -63,6 +64,7 @@ class Simulator:
 
     ``state`` is all that belongs to the current episodes; satellite k of environment e is row ``e * count + k``. Runs leave
     traces where it ``records``. Events that end an action, where it ``has_events``, end runs, too, unless it ``ends_apart``.
+    Satellites contend for antennas of stations where it is ``contended``.
     ``sources`` supply the ``tracks`` that components read, by name; none in the tick at time zero.
     """
 
@@ -92,6 +94,7 @@ class Simulator:
         self._endings = [name for name in ENDINGS if name in self.tick.state.fields]
         self.has_events = bool(self._endings)
         self.ends_apart = self.has_events and not self.stops
+        self.contended = ANTENNA_TICK in self.tick.state.fields
         self.state = SatelliteState(
             self.tick.state,
             self.tick.own,

@@ -111,6 +111,24 @@ def safe_autonomy(*names: str) -> str:
     return "\n\n".join([*parts, *(made(name) for name in names)])
 
 
+def thruster_rules(*names: str) -> str:
+    """Return what the rules of linear motion and policies return, and how far below an upper bound they are."""
+    rows, tunings = [], []
+    for content in map(load, names):
+        tuning = content["tuning"]
+        numbers = ", ".join(f"{key} {value:.3g}" for key, value in tuning["thresholds"].items())
+        spent = f"{tuning['episodes']:,} episodes and {tuning['core_seconds']:.0f} core-seconds"
+        tunings.append(f"Numbers of the tuned rule of `{content['options']['preset']}`, after {spent}: {numbers}.")
+        for row in content["rows"]:
+            gain = f"{row['gain']:+.4f} ±\u00a0{row['gain_half']:.4f}" if row["gain"] else "-"
+            share = f"{row['share']:+.4f} ±\u00a0{row['share_half']:.4f}" if row["gain"] else "-"
+            cells = [f"{row['return']:.4f} ±\u00a0{row['half']:.4f}", gain, share]
+            rows.append([content["options"]["preset"], row["entrant"], *cells])
+        rows.append([content["options"]["preset"], "upper bound", f"{content['bound']:.4f}", "-", f"{content['room']:+.4f}"])
+    head = ["preset", "entrant", "return", "minus the tuned rule", "share of the way"]
+    return "\n\n".join([table(head, rows), *tunings, *(made(name) for name in names)])
+
+
 def planners(name: str) -> str:
     """Return what planners gain and cost."""
     head = ["preset", "policy", "return", "gain over the rule", "decisions", "simulated s per decision", "wall s per episode"]
@@ -320,5 +338,6 @@ TABLES: dict[str, Callable[..., str]] = {
     "computation": computation,
     "distillations": distillations,
     "safe_autonomy": safe_autonomy,
+    "thruster_rules": thruster_rules,
 }
 """Tables by name."""

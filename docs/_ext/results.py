@@ -34,6 +34,8 @@ SCRIPTS = {
     "safe_inspection": "safe_autonomy",
     "safe_docking_trained": "safe_autonomy",
     "safe_inspection_trained": "safe_autonomy",
+    "thruster_docking": "thruster_rules",
+    "thruster_inspection": "thruster_rules",
     "risk_scan": "risk",
     "risk_large": "risk",
     "risk_screen": "risk",

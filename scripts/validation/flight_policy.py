@@ -116,12 +116,18 @@ def planner_pilot(flyer: Flyer, env: SatelliteTasking) -> Pilot:
 
 def policy_pilot(policy: TensorDictModuleBase, observed: Sequence[str] = ()) -> Pilot:
     """The most probable action of a policy, which sees observations in float32 as in training, ``as_sets`` if they are named."""
+    memory: dict[int, Tensor] = {}  # of a recurrent policy, by seed
 
     def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
         vector = seen["observation"].float()
         what = as_sets(vector, observed) if observed else vector
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            done = policy(TensorDict({"observation": what, "action_mask": seen["action_mask"]}, seen.batch_size))
+            asked = TensorDict({"observation": what, "action_mask": seen["action_mask"]}, seen.batch_size)
+            if step and memory:
+                asked["memory"] = torch.stack([memory[seed] for seed in seeds])
+            done = policy(asked)
+        if ("next", "memory") in done.keys(include_nested=True):
+            memory.update(zip(seeds, done["next", "memory"], strict=True))
         return done["action"], done.get("logits", torch.zeros(len(seeds), 0)).double()
 
     return decide

@@ -16,7 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +40,10 @@ BATCH = 50
 
 
 class Reader:
-    """The C function of an exported folder."""
+    """The C function of an exported folder, and the memory of a recurrent policy in each episode."""
 
-    def __init__(self, folder: Path, inputs: Sequence[str]) -> None:
-        """Compile it, and repeat its record; CalledProcessError if the compiler or the record fails."""
+    def __init__(self, folder: Path, shapes: Mapping[str, Sequence[int]]) -> None:
+        """Compile it, and repeat its record; CalledProcessError if the compiler or the record fails. ``shapes`` are of inputs."""
         compiler, flags = os.environ.get("CC", "cc"), ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2"]
         library, replay = folder / "policy.so", folder / "replay"
         subprocess.run([compiler, *flags, "-s", "-shared", "-fPIC", folder / "policy.c", "-o", library, "-lm"], check=True)
@@ -52,17 +52,23 @@ class Reader:
         self.replayed = subprocess.run([replay], check=True, capture_output=True, text=True).stdout.strip()
         self.bytes = library.stat().st_size
         self.act = ctypes.CDLL(str(library)).bsk_policy_act
-        self.paths = [tuple(name.split(".")) for name in inputs if name != "action_mask"]
+        self.paths = [tuple(name.split(".")) for name in shapes if name not in ("memory", "action_mask")]
+        self.width = shapes["memory"][-1] if "memory" in shapes else 0
 
-    def __call__(self, seen: TensorDict) -> Tensor:
-        """Return the actions [N] for observations and masks."""
-        n = seen.batch_size[0]
-        vector = torch.cat([seen[path].float().reshape(n, -1) for path in self.paths], -1).contiguous().numpy()
+    def start(self, episodes: int) -> None:
+        """Start episodes, which clears their memory."""
+        self.memory = np.zeros((episodes, self.width), np.float32)
+
+    def __call__(self, seen: TensorDict, episodes: Sequence[int]) -> Tensor:
+        """Return the actions [N] for observations and masks of N of the episodes."""
+        vector = torch.cat([seen[path].float().flatten(1) for path in self.paths], -1).contiguous().numpy()
         mask = seen["action_mask"].to(torch.uint8).contiguous().numpy()
         out = np.empty(mask.shape[-1], np.float32)
-        return torch.tensor(
-            [self.act(*(ctypes.c_void_p(row.ctypes.data) for row in (vector[k], mask[k], out))) for k in range(n)]
-        )
+        actions = []
+        for k, episode in enumerate(episodes):
+            rows = (vector[k], mask[k], *([self.memory[episode]] if self.width else []), out)
+            actions.append(self.act(*(ctypes.c_void_p(row.ctypes.data) for row in rows)))
+        return torch.tensor(actions)
 
 
 class Agreement:
@@ -93,9 +99,10 @@ def fly_here(policy_file: str, preset: str, options: dict[str, object], reader: 
     for first in range(0, len(seeds), BATCH):
         some = seeds[first : first + BATCH]
         env = make(preset, num_envs=len(some), env_ids=[0] * len(some), **options)
+        reader.start(len(some))
         for playing, step in play_episodes(env, policy, start_episodes(env, some)):
             asked = step[playing]
-            agreement.add(asked["action"], reader(asked), asked["logits"], asked["action_mask"])
+            agreement.add(asked["action"], reader(asked, playing.nonzero()[:, 0].tolist()), asked["logits"], asked["action_mask"])
     return agreement
 
 
@@ -111,7 +118,9 @@ def fly_there(env: SatelliteTasking, preset: str, policy_file: str, is_set: bool
         ours, logits = package(seen, asked, step)
         vector = seen["observation"].float()
         what = as_sets(vector, problem.observed) if is_set else vector
-        theirs = reader(TensorDict({"observation": what, "action_mask": seen["action_mask"]}, seen.batch_size))
+        if step == 0:
+            reader.start(1)
+        theirs = reader(TensorDict({"observation": what, "action_mask": seen["action_mask"]}, seen.batch_size), [0])
         agreement.add(ours, theirs, logits, seen["action_mask"])
         return theirs, logits
 
@@ -137,7 +146,7 @@ def main(given: list[str] | None = None) -> None:
         sys.exit(missing)
     with tempfile.TemporaryDirectory() as folder:
         (contract,) = export_policy(options.policy, folder, ["c"]).values()
-        reader = Reader(Path(folder), [row["name"] for row in contract["inputs"]])
+        reader = Reader(Path(folder), {row["name"]: row["shape"] for row in contract["inputs"]})
     print(
         f"{flyer.preset}: {reader.replayed}; {contract['network']['parameters'] * 4:,} bytes of weights, {reader.bytes:,} in all"
     )

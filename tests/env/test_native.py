@@ -83,6 +83,38 @@ def test_kernels_and_tensors_give_the_same_numbers(seed):
 
 
 @pytest.mark.compiled
+@pytest.mark.parametrize(
+    "options", [{"name": "AEOS-v1"}, {"name": "Constellation-v1", "n_satellites": 3}], ids=lambda o: o["name"]
+)
+def test_images_by_kernels_and_on_tensors(options):
+    kernels, tensors = envs = [bsk_torch.make(**options, num_envs=3, seed=1, time_limit=1500.0) for _ in range(2)]
+    assert all(kernels.images)
+    tensors.__dict__["images"] = [None]
+    states, imaged, key = [env.reset() for env in envs], 0, kernels.action_keys[0]
+    for step in range(40):
+        action = kernels.full_action_spec.rand()[key]
+        satellite = kernels.satellites[0]
+        if step % 10 == 3:  # a target by its index, for which a kernel has nothing to look up
+            action.flatten()[0] = -1 - satellite.find_next_opportunities(1).place[0, 0]
+        for td in states:
+            td[key] = action
+        pairs = [env.step_and_maybe_reset(td) for env, td in zip(envs, states, strict=True)]
+        steps, states = ([each[k] for each in pairs] for k in (0, 1))
+        for entry in steps[0].keys(True, True):
+            assert torch.equal(steps[0][entry], steps[1][entry]), entry
+        imaged = max(imaged, int(satellite.imaged.sum()))
+    moves = torch.tensor([True, False, True])
+    for td, env in zip(states, envs, strict=True):
+        given = action.clamp(min=0) if isinstance(env, SatelliteTasking) else [action.clamp(min=0)]
+        td.update(env.play(given, moves))
+    saved = [env.get_state() for env in envs]
+    for entry in saved[0].keys(True, True):
+        assert torch.equal(saved[0][entry], saved[1][entry]), entry
+    assert imaged
+    assert satellite.missed.any()
+
+
+@pytest.mark.compiled
 def test_a_wrong_action_changes_nothing():
     env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0)
     td = env.reset()

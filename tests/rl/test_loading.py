@@ -172,12 +172,34 @@ def test_experiments_of_benchmarl(env, tmp_path):
     assert td["agents", "action_mask"].gather(-1, action.unsqueeze(-1)).all()
     (file,) = (folder / "checkpoints").iterdir()
     assert torch.equal(action, bsk_torch.load_policy(file, team, trust=True)(td.clone())["agents", "action"])
-    smaller = bsk_torch.make("RelayConstellation-v1", num_envs=1, n_imagers=2, n_targets=100, time_limit=300.0)
+    weights = torch.load(file, weights_only=False)["loss_agents"]  # whose centralized critic fits three satellites only
+    larger = bsk_torch.make("Constellation-v1", num_envs=2, time_limit=300.0, **TEAM | {"n_satellites": 4})
+    for env_of_any_size in (team, larger):
+        policy, td = bsk_torch.load_policy(folder, env_of_any_size, trust=True), env_of_any_size.reset()
+        assert sorted(float(part.sum()) for part in policy.parameters()) == sorted(
+            float(part.sum()) for name, part in weights.items() if name.startswith("actor")
+        )
+        action = policy(td.clone())["agents", "action"]
+        assert action.shape == td["agents", "action_mask"].shape[:2]
+    (tmp_path / "own").mkdir()
+    own = write_experiment(tmp_path / "own", share_policy_params=False)
+    assert bsk_torch.load_policy(own, team, trust=True)(team.reset())["agents", "action"].shape == (2, 3)
+    others = bsk_torch.make("AEOSConstellation-v1", num_envs=1, n_satellites=2, n_targets=100, time_limit=300.0)
+    relays = bsk_torch.make("RelayConstellation-v1", num_envs=1, n_imagers=2, n_targets=100, time_limit=300.0)
     load = lambda where, trust=True: lambda: bsk_torch.load_policy(folder, where, trust=trust)
     check_refusals(
         refusal(load(team, False), UntrustedError, "experiment of BenchMARL", "config.pkl", "--trust"),
         refusal(load(env), ValueError, "groups agents", "one satellite"),
-        refusal(load(smaller), ValueError, "groups agents", "broadcasting_imager"),
+        refusal(load(relays), ValueError, "groups agents", "broadcasting_imager"),
+        refusal(
+            lambda: bsk_torch.load_policy(own, larger, trust=True),
+            ValueError,
+            "share_policy_params",
+            "4 agents",
+            "[3, 8, ",
+            "[4, 8, ",
+        ),
+        refusal(load(others), ValueError, "has other observations or actions", "2 agents", "[8, 141]", "[8, 269]"),
     )
 
 

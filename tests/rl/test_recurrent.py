@@ -10,9 +10,11 @@ import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.networks.plans import INIT, MEMORY, GRUPlan
 from bsk_torch.rl.policies.files import policy_of_file
+from bsk_torch.rl.policies.shared_policy import SharedPolicy
 from bsk_torch.rl.training.collect import make_collector
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.trainer import Training
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -48,6 +50,10 @@ def test_earlier_situations_matter(networks):
         forgetting = now.clone().update(first["next"].select(MEMORY)).update({INIT: torch.ones(5, 1, dtype=torch.bool)})
         assert not torch.allclose(fresh, remembering, atol=1e-7)
         assert torch.equal(policy(forgetting)["logits"], fresh)
+
+
+def test_constellations_have_no_memory(networks):
+    check_refusals(refusal(lambda: SharedPolicy(networks.policy), ValueError, "memory", "constellation", "'attention'"))
 
 
 def test_experience_is_judged_as_it_was_made(tmp_path):

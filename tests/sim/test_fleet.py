@@ -22,7 +22,7 @@ N = 3
 def part(*columns: int, n: int = N) -> SimpleNamespace:
     """A stand-in for the simulation of the satellites ``columns``."""
     tables = {"state": StateTable(n, len(columns)), "scenario_state": DrawTable(n)}
-    alone = {"followed": {}, "records": False, "stops": False, "h": 1.0}
+    alone = {"followed": {}, "records": False, "stops": False, "h": 1.0, "contended": False}
     return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **alone, **tables)
 
 
@@ -163,7 +163,7 @@ class Flyer:
     """Counts ticks, up to its event at tick ``event`` [N] if that ``stops`` it; ``flights`` are the ticks of its runs."""
 
     followed: ClassVar[dict[str, object]] = {}
-    records = False
+    records = contended = False
     h = 1.0
 
     def __init__(self, column: int, event: list[int] | None = None, stops: bool = True) -> None:

@@ -109,8 +109,8 @@ def onnx_model(
     return model.SerializeToString()
 
 
-def write_experiment(folder: Path) -> Path:
-    """An experiment of BenchMARL with one checkpoint."""
+def write_experiment(folder: Path, **settings) -> Path:
+    """An experiment of BenchMARL with one checkpoint, by further ``settings`` of ``ExperimentConfig``."""
     from bsk_torch.rl.marl.benchmarl import ConstellationTask
 
     # isort: split
@@ -133,7 +133,7 @@ def write_experiment(folder: Path) -> Path:
         checkpoint_at_end=True,
         save_folder=str(folder),
     )
-    for key, value in changes.items():
+    for key, value in (changes | settings).items():
         setattr(config, key, value)
     task = ConstellationTask.CONSTELLATION.get_task({"options": TEAM | {"time_limit": 300.0}})
     experiment = Experiment(task=task, algorithm_config=MappoConfig.get_from_yaml(), model_config=model, seed=0, config=config)

@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from bsk_torch.lab.export.graph import MASK, PolicyGraph, Standard
+from bsk_torch.lab.export.graph import MASK, MEMORY, PolicyGraph, Recurrent, Standard
 from bsk_torch.lab.export.record import Record
 from bsk_torch.lab.export.shield import Only
 from bsk_torch.rl.networks.attention import LEAST, SetActor
@@ -21,12 +21,15 @@ TOLERANCE = 1e-4
 """Largest difference of a logit, or of a real action as a share of its range, that counts as rounding. The sums of one logit in
 float32, in another order, differ by up to 1e-5 in the networks of the package."""
 
+REMEMBERED = """
+   memory:      {} numbers, 0 at the first decision of an episode; each call that does not return -2 replaces them"""
+
 HEADER = """/* {title}
 
    observation: {observed} numbers in the order of contract.json, finite
-   mask:        {masked}
+   mask:        {masked}{remembered}
    out:         {out}
-   Returns {returns}; -2 for an observation that is not finite.
+   Returns {returns}; -2 for {checked} not finite.
    Needs math.h only. It allocates nothing{reentrant}. */
 #ifndef BSK_POLICY_H
 #define BSK_POLICY_H
@@ -34,8 +37,8 @@ HEADER = """/* {title}
 #define BSK_POLICY_OBSERVED {observed}
 #define BSK_POLICY_ACTIONS {actions}
 #define BSK_POLICY_OUT {width}
-
-int bsk_policy_act(const float *observation, const unsigned char *mask, float *out);
+{macro}
+int bsk_policy_act(const float *observation, const unsigned char *mask, {parameter}float *out);
 
 #endif
 """
@@ -52,6 +55,7 @@ def c_files(graph: PolicyGraph, record: Record, title: str, only: Sequence[Only]
     """
     observed, actions = record.vectors().shape[-1], 0 if graph.is_real else graph.plan.n_actions
     width = record.outputs["action"].shape[-1] if graph.is_real else actions
+    memory = record.inputs[MEMORY].shape[-1] if MEMORY in record.inputs else 0
     header = HEADER.format(
         title=title,
         observed=observed,
@@ -61,12 +65,20 @@ def c_files(graph: PolicyGraph, record: Record, title: str, only: Sequence[Only]
         out=f"the {width} numbers of the action" if graph.is_real else f"the {width} logits before the mask",
         returns="0" if graph.is_real else "the number of the action, -1 if none is legal",
         reentrant=", but has static working memory: calls must not overlap" if graph.rows is not None else "",
+        remembered=REMEMBERED.format(memory) if memory else "",
+        checked="an observation or memory that is" if memory else "an observation that is",
+        macro=f"#define BSK_POLICY_MEMORY {memory}\n" if memory else "",
+        parameter="float *memory, " if memory else "",
     )
-    is_set = isinstance(graph.network, SetActor)
-    sizes, weights = attention(graph, graph.network, record) if isinstance(graph.network, SetActor) else mlp(graph)
+    if isinstance(graph.network, SetActor):
+        files, (sizes, weights) = ["attention.c"], attention(graph, graph.network, record)
+    elif isinstance(graph.network, Recurrent):
+        files, (sizes, weights) = ["squash.c", "gru.c"], recurrent(graph, graph.network)
+    else:
+        files, (sizes, weights) = ["squash.c", "mlp.c"], layered(graph, graph.network)
     macros = "".join(f"#define {name} {value}\n" for name, value in (sizes | {"LARGEST": literal(LARGEST)}).items())
-    parts = [macros, weights, code("common.c", "attention.c" if is_set else "mlp.c")]
-    parts += [real_act(graph)] if graph.is_real else [code("choose.c"), masked_act(only)]
+    parts = [macros, weights, code("common.c", *files)]
+    parts += [real_act(graph)] if graph.is_real else [code("choose.c"), masked_act(only, remembers=memory > 0)]
     return {
         "policy.h": header,
         "policy.c": "\n".join([f"/* {title} */", '#include "policy.h"\n', *parts]),
@@ -115,9 +127,9 @@ def linear(name: str, layer: nn.Linear) -> list[tuple[str, Tensor]]:
 # -- networks of layers ----------------------------------------------------------------------------------------------------------
 
 
-def mlp(graph: PolicyGraph) -> tuple[dict[str, object], str]:
-    """Return sizes by their names in the code, and the weights."""
-    layers = [layer for layer in graph.network.modules() if isinstance(layer, nn.Linear)]
+def layered(graph: PolicyGraph, network: nn.Module) -> tuple[dict[str, object], str]:
+    """Return sizes by their names in the code, and the weights of the normalizer and of the layers of a network."""
+    layers = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
     sizes = [layers[0].in_features, *(layer.out_features for layer in layers)]
     arrays = standards("own", graph.own)
     for k, layer in enumerate(layers):
@@ -127,6 +139,16 @@ def mlp(graph: PolicyGraph) -> tuple[dict[str, object], str]:
         names = ", ".join(f"layer_{k}_{part}" for k in range(len(layers)))
         pointers += f"static const float *const {array}[LAYERS] = {{{names}}};\n"
     return {"WIDTH": max(sizes), "LAYERS": len(layers)}, tables(arrays) + pointers + table("sizes", torch.tensor(sizes), "int")
+
+
+def recurrent(graph: PolicyGraph, network: Recurrent) -> tuple[dict[str, object], str]:
+    """Return sizes by their names in the code, and the weights; those of the unit are in the order reset, update, new."""
+    sizes, weights = layered(graph, network.layers)
+    arrays = linear("head", network.head)
+    for name, end in (("now", "ih_l0"), ("before", "hh_l0")):
+        weight, bias = (getattr(network.unit, f"{part}_{end}") for part in ("weight", "bias"))
+        arrays += [(f"{name}_weight", weight.mT), (f"{name}_bias", bias)]
+    return sizes, weights + tables(arrays)
 
 
 # -- attention -------------------------------------------------------------------------------------------------------------------
@@ -160,17 +182,21 @@ def attention(graph: PolicyGraph, network: SetActor, record: Record) -> tuple[di
 
 # -- the function, and the record ------------------------------------------------------------------------------------------------
 
-ACT = """
-int bsk_policy_act(const float *observation, const unsigned char *mask, float *out)
+
+def act(body: str, *, remembers: bool) -> str:
+    """Return the function for one decision, of a network with a memory or without, which ends with ``body``."""
+    declared, passed = ("float *memory, ", "memory, ") if remembers else ("", "")
+    return f"""
+int bsk_policy_act(const float *observation, const unsigned char *mask, {declared}float *out)
 {{
-    if (!network(observation, out)) {{
+    if (!network(observation, {passed}out)) {{
         return -2;
     }}
 {body}}}
 """
 
 
-def masked_act(only: Sequence[Only]) -> str:
+def masked_act(only: Sequence[Only], *, remembers: bool) -> str:
     """Return the function that chooses an action; the first condition of a shield that holds leaves one action, if legal."""
     tests = []
     for one in only:
@@ -178,9 +204,10 @@ def masked_act(only: Sequence[Only]) -> str:
         words = [f"{sign}observation[{k}] {one.sign} {literal(one.threshold)}" for k in one.columns for sign in signs]
         tests.append(f"if ({' || '.join(words)}) {{\n        only = {one.action};\n    }}")
     if not tests:
-        return ACT.format(body="    return choose(out, mask);\n")
+        return act("    return choose(out, mask);\n", remembers=remembers)
     chain = " else ".join(tests)
-    return ACT.format(body=f"    int only = -1;\n    {chain}\n    return only >= 0 && mask[only] ? only : choose(out, mask);\n")
+    body = f"    int only = -1;\n    {chain}\n    return only >= 0 && mask[only] ? only : choose(out, mask);\n"
+    return act(body, remembers=remembers)
 
 
 def real_act(graph: PolicyGraph) -> str:
@@ -191,7 +218,7 @@ def real_act(graph: PolicyGraph) -> str:
         "    (void)mask;\n    for (int j = 0; j < BSK_POLICY_OUT; ++j) {\n        const float y = tanhf(out[j]);\n"
         f"        out[j] = (y < -{edge} ? -{edge} : y > {edge} ? {edge} : y) * reach[j] + middle[j];\n    }}\n    return 0;\n"
     )
-    return f"\n{middle}{reach}" + ACT.format(body=body)
+    return f"\n{middle}{reach}" + act(body, remembers=isinstance(graph.network, Recurrent))
 
 
 def recorded(graph: PolicyGraph, record: Record) -> str:
@@ -200,6 +227,9 @@ def recorded(graph: PolicyGraph, record: Record) -> str:
     expected = action if graph.is_real else record.outputs["logits"]
     scale = 2.0 * graph.reach if graph.is_real else torch.ones(expected.shape[-1], dtype=torch.float32)
     mask = torch.ones(n, 1, dtype=torch.float32) if graph.is_real else record.inputs[MASK]
+    memories = []
+    if MEMORY in record.inputs:
+        memories = [("before", record.inputs[MEMORY].flatten(1)), ("after", record.outputs["next.memory"].flatten(1))]
     return "".join(
         [
             f"#define RECORDED {n}\n#define TOLERANCE {literal(TOLERANCE)}\n",
@@ -208,5 +238,6 @@ def recorded(graph: PolicyGraph, record: Record) -> str:
             table("action", torch.zeros(n, dtype=torch.float32) if graph.is_real else action, "int"),
             table("expected", expected),
             table("scale", scale),
+            *(table(name, values) for name, values in memories),
         ]
     )

@@ -19,7 +19,7 @@ from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.lab.export.graph import MASK, PolicyGraph
+from bsk_torch.lab.export.graph import MASK, MEMORY, OBSERVATION, PolicyGraph
 from bsk_torch.lab.export.record import Record
 from bsk_torch.obs import Observation
 from bsk_torch.obs.candidates import CandidateObservation
@@ -59,6 +59,9 @@ OPPORTUNITIES = {
 }
 """Meanings of properties of opportunities whose functions have no docstrings."""
 
+REMEMBERED = "zeros at the first decision of an episode; then next.memory of the same satellite's previous decision"
+"""What the input ``memory`` of a recurrent policy must be."""
+
 UNIT = re.compile(r"(?:\] |, )(m\^2/s|m/s|rad/s|degrees|rad|m|s|kg|W|J)(?=[ ,.;]|$)")
 """A unit in the first line of a docstring, after the shape or a comma."""
 
@@ -96,6 +99,7 @@ def contract_of(
             {"name": name, "type": str(value.dtype).removeprefix("torch."), "shape": ["N", *value.shape[1:]]}
             for name, value in record.outputs.items()
         ],
+        "memory": REMEMBERED if MEMORY in graph.paths else None,
         "observation": quantities_of(graph, record, view),
         "actions": real_actions(view) if graph.is_real else numbered_actions(view),
         "decisions": {
@@ -148,7 +152,7 @@ def margin(graph: PolicyGraph, record: Record) -> float | None:
 def places_of(graph: PolicyGraph, record: Record, view: SatelliteGroup) -> list[dict[str, Any]]:
     """Return input, name, and place in the vector of the C code of each observed quantity; those of a set repeat in each row."""
     places, start = [], 0
-    for path in (path for path in graph.paths if path != MASK):
+    for path in (path for path in graph.paths if path[:1] == OBSERVATION):
         value, title, (rows, stride) = record.inputs[path], ".".join(path[1:]), (1, 0)
         if graph.rows is None:
             widths: dict[str, int] = Counter(entry.split("[")[0] for entry in view.observation_description)
@@ -303,6 +307,7 @@ def page(contract: Mapping[str, Any], files: Sequence[str]) -> str:
         "",
         *rows(("name", "type", "shape"), [*contract["inputs"], *contract["outputs"]]),
         "",
+        *([f"`memory` is {contract['memory']}.", ""] if contract["memory"] else []),
         "## Observation",
         "",
         "A number is the quantity, in its unit, divided by the divisor; where these are empty, the text tells them. Beyond the",

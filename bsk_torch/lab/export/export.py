@@ -19,6 +19,7 @@ from bsk_torch.lab.export.shield import conditions
 from bsk_torch.presets import make
 from bsk_torch.rl.networks.plans import PLANS
 from bsk_torch.rl.policies.files import build_policy, check_fits, networks_of, read_card
+from bsk_torch.rl.policies.loading import OWN, kind_of
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, GroupPolicies, member_views
 from bsk_torch.rl.rules.shield import find_rule
@@ -57,8 +58,8 @@ def export_policy(
         The contract of each group, by name.
 
     Raises:
-        ValueError: For what is no policy of networks, an unknown form, a network with a memory, a shield that cannot be exported,
-            or an environment that the policy does not fit.
+        ValueError: For what is no policy of networks, an unknown form, a shield that cannot be exported, or an environment that
+            the policy does not fit.
         ModuleNotFoundError: For ``"onnx"`` without the extra ``onnx``.
     """
     for form in forms:
@@ -107,7 +108,7 @@ def export_policy(
 
 
 def card_of(policy: str, preset: str | None) -> dict[str, Any]:
-    """Return the contents of a policy's file; ValueError, with what can be exported, for a rule, a planner or a function."""
+    """Return the contents of a policy's file; ValueError, with what can be exported, unless this package wrote it."""
     kind = None
     if policy in RULES:
         kind = "a rule"
@@ -115,8 +116,12 @@ def card_of(policy: str, preset: str | None) -> dict[str, Any]:
         kind = "a planner, which simulates ahead"
     elif ":" in policy and not Path(policy).exists():
         kind = "a function of Python"
+    elif Path(policy).exists() and (title := kind_of(Path(policy)).title) != OWN:
+        kind = f"a policy of another library ({title})"
     if kind is not None:
-        raise ValueError(f"{policy!r} is {kind}; networks can be exported: a run folder, a policy file, or {PRETRAINED!r}")
+        raise ValueError(
+            f"{policy!r} is {kind}; bsk_torch exports its own networks: a run folder, a policy file, or {PRETRAINED!r}"
+        )
     if policy == PRETRAINED and preset is None:
         raise ValueError(f"policy={PRETRAINED!r} needs preset, such as 'NadirScan-v1'")
     return read_card(pretrained_file(str(preset)) if policy == PRETRAINED else policy)

@@ -19,7 +19,7 @@ EDGE = 1.0 - 1e-6
 Path = tuple[str, ...]
 """Key of an input in the view of one satellite."""
 
-OBSERVATION, MASK = ("observation",), ("action_mask",)
+OBSERVATION, MASK, MEMORY = ("observation",), ("action_mask",), ("memory",)
 
 
 def flat(parts: Sequence[Tensor]) -> Tensor:
@@ -49,12 +49,27 @@ class Standard(nn.Module):
         return ends.sign() * torch.expm1(ends.abs())
 
 
+class Recurrent(nn.Module):
+    """Layers, a gated recurrent unit, and a last layer."""
+
+    def __init__(self, layers: nn.Module, unit: nn.GRU, head: nn.Linear) -> None:
+        """Take the parts of the actor of a :class:`~bsk_torch.rl.networks.plans.GRUPlan`."""
+        super().__init__()
+        self.layers, self.unit, self.head = layers, unit, head
+
+    def forward(self, x: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the outputs [N, A], and the memory after this decision, [N, 1, H], of features [N, D] and the memory before."""
+        remembered, memory = self.unit(self.layers(x).unsqueeze(1), memory.transpose(0, 1).contiguous())
+        return self.head(remembered.squeeze(1)), memory.transpose(0, 1)
+
+
 class PolicyGraph(nn.Module):
     """A policy for one satellite as a function of tensors, whose first dimension is the batch.
 
-    Inputs are, in this order, the parts of the observation and for numbered actions the mask. Outputs are ``action`` [N] int64
-    and ``logits`` [N, A], the network's numbers before the mask; or ``action`` [N, k] float32 of a continuous policy. The action
-    is the most probable one, as in :func:`bsk_torch.rl.evaluation.evaluate`.
+    Inputs are, in this order, the parts of the observation, the memory of a recurrent policy, [N, 1, H], and for numbered actions
+    the mask. Outputs are ``action`` [N] int64 and ``logits`` [N, A], the network's numbers before the mask; or ``action`` [N, k]
+    float32 of a continuous policy; and the memory for the next decision. The action is the most probable one, as in
+    :func:`bsk_torch.rl.evaluation.evaluate`.
 
     Attributes:
         plan: Sizes of the networks.
@@ -66,21 +81,21 @@ class PolicyGraph(nn.Module):
     """
 
     def __init__(self, plan: Plan, policy: TensorDictModuleBase) -> None:
-        """Take the networks of a policy; ValueError for one with a memory."""
+        """Take the networks of a policy."""
         super().__init__()
-        if isinstance(plan, GRUPlan):
-            raise ValueError("network='gru' keeps a memory between decisions; 'mlp' and 'attention' can be exported")
-        normaliser, actor = cast(TensorDictSequential, policy).module
+        *_, normaliser, actor = cast(TensorDictSequential, policy).module
         self.plan = plan
         self.only: Sequence[Only] = ()
         self.own = Standard(normaliser.own)
         self.rows = Standard(normaliser.rows) if isinstance(normaliser, SetNormaliser) else None
-        network = actor.module[0].module
-        self.network: nn.Module = network.network if isinstance(network, NormalParameters) else network
+        first = actor.module[0]
+        *before, last = first.module if isinstance(plan, GRUPlan) else [first]
+        head = last.module.network if isinstance(last.module, NormalParameters) else last.module
+        self.network: nn.Module = Recurrent(before[0].module, before[1].gru, cast(nn.Linear, head)) if before else head
         if isinstance(plan, AttentionPlan):
             paths = (*map(tuple, plan.own_keys), (*plan.set_key, "rows"), (*plan.set_key, "mask"))
         else:
-            paths = (OBSERVATION,)
+            paths = (OBSERVATION, *([MEMORY] if isinstance(plan, GRUPlan) else []))
         self.is_real = bool(getattr(plan, "bounds", ()))
         self.paths: tuple[Path, ...] = paths if self.is_real else (*paths, MASK)
         if self.is_real:
@@ -99,7 +114,8 @@ class PolicyGraph(nn.Module):
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs."""
-        return ("action",) if self.is_real else ("action", "logits")
+        after = ("next.memory",) if MEMORY in self.paths else ()
+        return ("action", *after) if self.is_real else ("action", "logits", *after)
 
     def limits(self) -> Tensor:
         """Return the ranges outside which numbers of the vector, and of a set's first row after it, are clipped, [2, D]."""
@@ -107,14 +123,17 @@ class PolicyGraph(nn.Module):
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Return the outputs for inputs [N, ...] each."""
-        if self.is_real:
-            return (self.network(self.own(inputs[0])).tanh().clamp(-EDGE, EDGE) * self.reach + self.middle,)
-        *parts, legal = inputs
-        if self.rows is None:
-            logits = self.network(self.own(parts[0]))
-        else:
+        given = dict(zip(self.paths, inputs, strict=True))
+        parts = [value for path, value in given.items() if path[:1] == OBSERVATION]
+        after: list[Tensor] = []
+        if self.rows is not None:
             *own, rows, exists = parts
-            logits = self.network(self.own(flat(own)), self.rows(rows), exists.bool(), legal)
-        if self.only:
-            legal = narrowed(self.only, flat(parts), legal)
-        return logits.masked_fill(~legal, -torch.inf).argmax(-1), logits
+            out = self.network(self.own(flat(own)), self.rows(rows), exists.bool(), given[MASK])
+        elif MEMORY in given:
+            out, *after = self.network(self.own(parts[0]), given[MEMORY])
+        else:
+            out = self.network(self.own(parts[0]))
+        if self.is_real:
+            return (out.tanh().clamp(-EDGE, EDGE) * self.reach + self.middle, *after)
+        legal = narrowed(self.only, flat(parts), given[MASK]) if self.only else given[MASK]
+        return (out.masked_fill(~legal, -torch.inf).argmax(-1), out, *after)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.lab.export.graph import MASK, Path, PolicyGraph, flat
+from bsk_torch.lab.export.graph import OBSERVATION, Path, PolicyGraph, flat
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.policies.shared_policy import of_groups, shared
 
@@ -40,7 +40,7 @@ class Record:
 
     def vectors(self) -> Tensor:
         """Return all observed numbers side by side, [n, D], as the C code takes them."""
-        return flat([value for path, value in self.inputs.items() if path != MASK])
+        return flat([value for path, value in self.inputs.items() if path[:1] == OBSERVATION])
 
 
 @torch.no_grad()

@@ -144,12 +144,15 @@ PRESET = {
 def read_experiment(file: Path) -> Loaded:
     """Read the policy of an experiment's checkpoint, ``checkpoints/checkpoint_N.pt`` below its folder, which has ``config.pkl``.
 
-    Unpickles both. ValueError for damaged files; the policy is built for the environment in which it is to act.
+    Unpickles both. ValueError for damaged files. The policy is built for the environment in which it is to act, with the groups
+    of the training: for any number of satellites if weights are shared (``share_policy_params``, the default), else for the same.
     """
     try:
         with open(file.parent.parent / "config.pkl", "rb") as stream:
             parts = [pickle.load(stream) for _ in range(8)]  # as Experiment writes them
         state = torch.load(file, map_location="cpu", weights_only=False)
+        collector = state["collector"]
+        weights = collector.get("worker0", collector)["policy_state_dict"]  # all workers have the same
     except Exception as error:  # unpickling may raise anything
         raise ValueError(f"{str(file)!r} is no experiment of BenchMARL: {type(error).__name__}: {error}") from error
     task, _, algorithm, model, _, config, critic, _ = parts
@@ -167,7 +170,7 @@ def read_experiment(file: Path) -> Loaded:
         experiment = SimpleNamespace(
             config=config,
             model_config=model,
-            critic_model_config=critic or model,
+            critic_model_config=critic,
             algorithm_config=algorithm,
             on_policy=algorithm.on_policy(),
             group_map=groups,
@@ -177,15 +180,17 @@ def read_experiment(file: Path) -> Loaded:
             state_spec=None,
             task=task,
         )
-        made = algorithm.get_algorithm(experiment=experiment)
-        try:
-            for group in groups:
-                made.get_loss_and_updater(group)[0].load_state_dict(state[f"loss_{group}"])
-        except RuntimeError as error:  # whose message has a line for each weight
-            lines = [line.strip() for line in str(error).splitlines()]
+        policy = algorithm.get_algorithm(experiment=experiment).get_policy_for_collection().requires_grad_(False)
+        expected, given = ({name: list(part.shape) for name, part in state.items()} for state in (weights, policy.state_dict()))
+        if expected != given:
+            name = next(name for name in (*expected, *given) if expected.get(name) != given.get(name))
+            own = "" if config.share_policy_params else "weights of each satellite (share_policy_params=False), another team, "
+            team = ", ".join(f"{len(names)} {group}" for group, names in groups.items())
             raise ValueError(
-                f"{title} has other observations or actions than {where}: {lines[min(1, len(lines) - 1)]}"
-            ) from error
-        return WholePolicy(made.get_policy_for_collection().requires_grad_(False))
+                f"{title} has {own}other observations or actions than {where} with {team}: "
+                f"{name} is {expected.get(name)}, here {given.get(name)}"
+            )
+        policy.load_state_dict(weights)
+        return WholePolicy(policy)
 
     return Loaded(fit, f"benchmarl {version('benchmarl')}")

@@ -12,13 +12,15 @@ from typing import Annotated, Any, NamedTuple
 
 import torch
 from annotated_types import Interval
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from typing_extensions import NotRequired, TypedDict
 
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.action_forms import form
+from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.shared_policy import member_view
 from bsk_torch.untrusted import MOST_JSON, Word, parse_json, read_bytes
 from bsk_torch.wrappers.policies import Actor, FunctionPolicy
@@ -26,6 +28,9 @@ from bsk_torch.wrappers.spaces import flat, map_leaves
 
 OBSERVATION, MASK = "observation", "action_mask"
 """Names of the observation vector and of the mask."""
+
+REMEMBERED = "next.memory"
+"""Name of the output of a recurrent network that is its input ``memory`` at the next decision."""
 
 CONTRACT = "bsk_torch.contract"
 """Entry of a file with its contract, which may also be next to it, as ``FILE.json``."""
@@ -74,6 +79,7 @@ class Interface:
         actions: Number of actions to choose from, or of real numbers; None if unknown.
         is_real: Whether it returns real numbers; None if unknown.
         contract: Names of observations and actions.
+        memory: Shape of the memory of a recurrent policy, without the batch: a further input and result; empty without one.
     """
 
     title: str
@@ -81,13 +87,14 @@ class Interface:
     actions: int | None = None
     is_real: bool | None = None
     contract: Contract | None = field(default=None)
+    memory: tuple[int, ...] = ()
 
     def check(self, view: SatelliteTasking, where: str) -> list[str]:
         """Return the names of the environment's observations, in the order of :attr:`inputs`, for one satellite.
 
         ValueError, naming what is expected and what the environment ``where`` gives, if they differ.
         """
-        satellite, sizes = view.satellite, lengths(view)
+        satellite, sizes = view.satellite, lengths(view) | ({MEMORY: prod(self.memory)} if self.memory else {})
         builder, names = form(satellite), list(satellite.action_description or ())
         if self.is_real is not None and self.is_real != (builder is not None):
             kinds = ("chooses one of several actions", "returns real numbers")
@@ -114,7 +121,7 @@ class Interface:
     def _matched(self, sizes: Mapping[str, int], where: str) -> list[str]:
         by_name = {name_of(key): key for key in sizes}
         order = [by_name.get(name_of(name)) for name in self.inputs]
-        others = [key for key in sizes if key != MASK]
+        others = [key for key in sizes if key not in (MASK, MEMORY)]
         if len(others) == 1 and others[0] not in order and order.count(None) == 1:
             order[order.index(None)] = others[0]  # the only input left is the vector, whatever its name
         for name, key in zip(self.inputs, order, strict=True):
@@ -140,16 +147,18 @@ class Interface:
             env: The environment, of one satellite or several alike.
             where: Its name in errors.
             network: Returns what :class:`~bsk_torch.wrappers.policies.FunctionPolicy` takes, from the inputs [B, ...] in the
-                order of :attr:`inputs`, and the mask [B, A], None for real actions.
+                order of :attr:`inputs`, and the mask [B, A], None for real actions; of a recurrent policy, this and the memory.
         """
         view = member_view(env)
         order, is_real = self.check(view, where), form(view.satellite) is not None
 
-        def choose(observation: object, action_mask: Tensor | None = None) -> object:
-            parts = leaves(observation, action_mask)
+        def choose(observation: object, action_mask: Tensor | None = None, memory: Tensor | None = None) -> Any:
+            parts = leaves(observation, action_mask) | ({} if memory is None else {MEMORY: memory})
             return network([parts[name] for name in order], action_mask)
 
         policy = FunctionPolicy(choose, view.satellite, not is_real, self.title)
+        if self.memory:
+            policy = RecurrentPolicy(choose, view.satellite, not is_real, self.title, self.memory)
         self.try_policy(policy, env, where)
         return policy
 
@@ -165,6 +174,27 @@ class Interface:
                 policy(situations)
         except Exception as error:  # networks of others may raise anything
             raise ValueError(f"{self.title} cannot decide in {where}: {type(error).__name__}: {error}") from error
+
+
+class RecurrentPolicy(FunctionPolicy):
+    """A network with a memory, which is passed on as that of :class:`~bsk_torch.rl.networks.plans.GRUPlan` is."""
+
+    def __init__(
+        self, network: Callable[..., Any], satellite: SatelliteGroup, with_mask: bool, title: str, shape: tuple[int, ...]
+    ) -> None:
+        """Call ``network`` with observation, mask or None, and memory [B, ``*shape``]; it returns scores and the next memory."""
+        super().__init__(network, satellite, with_mask, title)
+        self.shape = shape
+        self.out_keys: list[NestedKey] = [*self.out_keys, ("next", MEMORY)]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action``, the next memory, and the memory where an episode starts, zeros."""
+        if MEMORY not in tensordict.keys():  # noqa: SIM118  - a tensordict
+            tensordict[MEMORY] = torch.zeros(*tensordict.batch_size, *self.shape, device=tensordict.device, dtype=torch.float32)
+        mask = tensordict[MASK] if self.with_mask else None
+        scores, memory = self.function(tensordict[OBSERVATION], mask, tensordict[MEMORY])
+        tensordict["next", MEMORY] = memory
+        return tensordict.set("action", self._action(scores, tensordict))
 
 
 def name_of(text: str) -> str:

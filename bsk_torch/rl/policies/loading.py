@@ -74,8 +74,11 @@ def _unpickles(path: Path) -> str:
     return f"torch unpickles it, which calls {', '.join(names[:5])}" + ", ..." * (len(names) > 5) if names else ""
 
 
+OWN = "policy of bsk_torch"
+"""Title of the kind that this package writes."""
+
 KINDS = (
-    Kind("policy of bsk_torch", lambda path: (path / POLICY).is_file() or is_checksummed(path), lambda path: "", _read_own),
+    Kind(OWN, lambda path: (path / POLICY).is_file() or is_checksummed(path), lambda path: "", _read_own),
     Kind("model of Stable-Baselines3", lambda path: path.suffix == ".zip", sb3_zip.pickled_parts, sb3_zip.read_sb3),
     Kind("ONNX file", lambda path: path.suffix == ".onnx", lambda path: "", lambda path, trust: network_files.read_onnx(path)),
     Kind(
@@ -94,9 +97,14 @@ KINDS = (
         lambda path, trust: resolve("bsk_torch.rl.marl.benchmarl:read_experiment")(_checkpoint(path)),
     ),
     Kind("module of torch", lambda path: bool(_unpickles(path)), _unpickles, lambda path, trust: network_files.read_module(path)),
-    Kind("policy of bsk_torch", lambda path: True, lambda path: "", _read_own),  # of release 0.1, or damaged
+    Kind(OWN, lambda path: True, lambda path: "", _read_own),  # of release 0.1, or damaged
 )
 """All kinds of files; the first that fits reads a file."""
+
+
+def kind_of(path: Path) -> Kind:
+    """Return the kind of a file or folder, which exists."""
+    return next(kind for kind in KINDS if kind.is_kind(path))
 
 
 def read_policy(source: Path | str, trust: bool = False) -> Loaded:
@@ -111,7 +119,7 @@ def read_policy(source: Path | str, trust: bool = False) -> Loaded:
     path = Path(source)
     if not path.exists():
         read_card(path)  # raises the error for what is missing
-    kind = next(kind for kind in KINDS if kind.is_kind(path))
+    kind = kind_of(path)
     if not trust and (code := kind.executes(path)):
         raise UntrustedError(
             f"{str(source)!r} is a {kind.title}: {code}, so that whoever made it decides what runs here; if you trust it, "

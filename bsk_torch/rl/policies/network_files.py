@@ -2,7 +2,7 @@
 
 ONNX files and exported programs have inputs named by the environment's observations: ``observation`` [N, D] and ``action_mask``
 [N, A], or the parts of named observations. They return ``action`` [N] or [N, A], or ``logits`` [N, A], of which the highest legal
-one counts.
+one counts. Recurrent ones have the input ``memory`` and the output ``next.memory``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import pickletools
 import re
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +20,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as pytree
 
-from bsk_torch.rl.policies.interface import CONTRACT, Contract, Interface, Loaded, contract_of
+from bsk_torch.rl.networks.plans import MEMORY
+from bsk_torch.rl.policies.interface import CONTRACT, REMEMBERED, Contract, Interface, Loaded, contract_of
 from bsk_torch.untrusted import one_line, parse_json, read_tensors
 
 RETURNED = ("action", "logits")
@@ -55,21 +56,22 @@ def read_onnx(path: Path) -> Loaded:
     for entry in inputs:
         if entry.type not in NUMBERS:
             raise ValueError(f"{title} has the input {entry.name!r} of type {entry.type}; it must be one of {', '.join(NUMBERS)}")
+    returned = _returned(title, names)
     interface = Interface(
         title,
         {entry.name: _length(entry.shape) for entry in inputs},
         contract=contract_of(path, about.custom_metadata_map.get(CONTRACT)),
+        memory=_memory({entry.name: entry.shape for entry in inputs}, len(returned)),
     )
-    output = _returned(title, names)
 
-    def run(parts: Sequence[Tensor]) -> Tensor:
+    def run(parts: Sequence[Tensor]) -> list[Tensor]:
         feed = {
             entry.name: part.to(NUMBERS[entry.type]).reshape(len(part), *entry.shape[1:2]).cpu().numpy()
             if len(entry.shape) == 2 and isinstance(entry.shape[1], int)
             else part.to(NUMBERS[entry.type]).cpu().numpy()
             for entry, part in zip(inputs, parts, strict=True)
         }
-        return torch.as_tensor(session.run([names[output]], feed)[0])
+        return [torch.as_tensor(result) for result in session.run([names[k] for k in returned], feed)]
 
     sizes = {entry.shape[0] for entry in inputs if entry.shape and isinstance(entry.shape[0], int)}
     return _loaded(interface, run, sizes, f"{about.producer_name or 'unknown'}, ONNX Runtime {onnxruntime.__version__}")
@@ -81,28 +83,37 @@ def _length(shape: Sequence[object]) -> int | None:
     return int(torch.Size(sizes).numel()) if len(sizes) == len(shape) - 1 else None
 
 
-def _returned(title: str, names: Sequence[str]) -> int:
-    """Return the number of the output that counts: ``action``, ``logits``, or the only one."""
+def _returned(title: str, names: Sequence[str]) -> list[int]:
+    """Return the number of the output that counts, ``action``, ``logits``, or the only one, and then of a memory, if any."""
+    after = [names.index(REMEMBERED)] if REMEMBERED in names else []
     for name in RETURNED:
         if name in names:
-            return names.index(name)
+            return [names.index(name), *after]
     if len(names) != 1:
         raise ValueError(f"{title} returns {', '.join(names)}; one of them must be called action or logits")
-    return 0
+    return [0]
 
 
-def _loaded(interface: Interface, run: Callable[[Sequence[Tensor]], Tensor], sizes: set[int], library: str) -> Loaded:
+def _memory(shapes: Mapping[str, Sequence[int]], returned: int) -> tuple[int, ...]:
+    """Return the shape of a memory without the batch, of a network that also returns it; empty without one."""
+    return tuple(shapes.get(MEMORY, ())[1:]) if returned > 1 else ()
+
+
+def _loaded(interface: Interface, run: Callable[[Sequence[Tensor]], list[Tensor]], sizes: set[int], library: str) -> Loaded:
     """Return the policy of a network that runs batches, of the only one of ``sizes`` if it was exported with one."""
     if len(sizes) > 1:
         raise ValueError(f"{interface.title} has inputs with batches of {', '.join(map(str, sorted(sizes)))}")
 
-    def network(parts: list[Tensor], mask: Tensor | None) -> Tensor:
+    def network(parts: list[Tensor], mask: Tensor | None) -> Tensor | list[Tensor]:
         count, size = len(parts[0]), next(iter(sizes), len(parts[0]))
-        if size == count:
-            return run(parts)
+        results = run(parts) if size == count else batches(parts, count, size)
+        return results if interface.memory else results[0]
+
+    def batches(parts: list[Tensor], count: int, size: int) -> list[Tensor]:
         padding = -count % size
         padded = [torch.cat([part, part[:1].expand(padding, *part.shape[1:])]) for part in parts]
-        return torch.cat([run(pieces) for pieces in zip(*(part.split(size) for part in padded), strict=True)])[:count]
+        pieces = [run(piece) for piece in zip(*(part.split(size) for part in padded), strict=True)]
+        return [torch.cat(column)[:count] for column in zip(*pieces, strict=True)]
 
     return Loaded(lambda env, where: interface.policy(env, where, network), library)
 
@@ -119,7 +130,7 @@ TEXTS = {
     "target": re.compile(
         rf"torch\.ops\.aten\.(?!from_file\b)(_({INTERNAL})|(?!_)\w+)\.\w+|_operator\.(add|sub|mul|floordiv|neg|eq|ne|lt|le|gt|ge)"
     ),
-    "expr_str": re.compile(r"(Symbol\('\w+'(, \w+=True)*\)|-?\d+|[ +()-]|\*(?!\*))*"),
+    "expr_str": re.compile(r"(Symbol\('\w+'(, \w+=True)*\)|Mul\(|Integer\(|-?\d+|[ +(),-]|\*(?!\*))*"),
     "path_name": re.compile(r"(weight|tensor)_\d+"),
     "type": re.compile(r"builtins\.(tuple|list|dict)|cpu|cuda"),
     "context": re.compile(r'null|\[("\w*"(, "\w*")*)?\]'),
@@ -219,14 +230,16 @@ def read_exported(path: Path, trust: bool = False) -> Loaded:
     }
     types = [node.meta["val"].dtype for node in program.graph.nodes if node.op == "placeholder" and node.name in inputs]
     lengths = [_length(shapes[name]) for name in inputs]
-    interface = Interface(title, dict(zip(_named(inputs, contract, "inputs"), lengths, strict=True)), contract=contract)
     outputs = _names_of(program.call_spec.out_spec, program.graph_signature.user_outputs)
-    number = _returned(title, _named(outputs, contract, "outputs"))
+    returned, names = _returned(title, _named(outputs, contract, "outputs")), _named(inputs, contract, "inputs")
+    memory = _memory({name: shapes[key] for name, key in zip(names, inputs, strict=True)}, len(returned))
+    interface = Interface(title, dict(zip(names, lengths, strict=True)), contract=contract, memory=memory)
 
-    def run(parts: Sequence[Tensor]) -> Tensor:
+    def run(parts: Sequence[Tensor]) -> list[Tensor]:
         tensors = [part.to("cpu", kind) for part, kind in zip(parts, types, strict=True)]
         positional, named = pytree.tree_unflatten(tensors, program.call_spec.in_spec)
-        return pytree.tree_leaves(module(*positional, **named))[number]
+        results = pytree.tree_leaves(module(*positional, **named))
+        return [results[k] for k in returned]
 
     sizes = {shapes[name][0] for name in inputs if isinstance(shapes[name][0], int)}
     return _loaded(interface, run, sizes, f"torch {torch.__version__}")

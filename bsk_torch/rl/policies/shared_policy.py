@@ -105,8 +105,12 @@ class SharedPolicy(TensorDictModuleBase):
         For continuous actions, [B, A], there is no mask; satellites that need no task get ``NO_ACTION``.
 
         ``out_keys`` are the actions of the ``group``, [N, S], and their log-probabilities if the policy returns these.
+
+        ValueError for a recurrent policy, whose memory would be lost between the decisions of each satellite.
         """
         super().__init__()
+        if any(isinstance(key, tuple) and key[0] == "next" for key in policy.out_keys):
+            raise ValueError("the policy keeps a memory, which a constellation does not pass on; train with 'attention'")
         self.policy, self.group = policy, group
         decides = "action_mask" if "action_mask" in policy.in_keys else "requires_retasking"
         self.in_keys = [(group, "observation"), (group, decides)]

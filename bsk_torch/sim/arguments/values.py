@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient, number
+from bsk_torch._checks import no_gradient, number, whole
 from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.astro.orbit import rv_to_elements
 from bsk_torch.codegen.kept import of_package
@@ -511,6 +511,8 @@ STATION_BOUNDS = {
 }
 """Bounds of the numbers of a station, degrees for latitude and longitude, else m and rad."""
 
+STATION_KEYS = (*STATION_BOUNDS, "antennas", "name")
+
 
 def _check_stations(stations: object) -> None:
     if isinstance(stations, str | Mapping) or not isinstance(stations, Sequence):
@@ -521,8 +523,10 @@ def _check_stations(stations: object) -> None:
         if not isinstance(station, Mapping):
             raise ValueError(f"groundStationsData holds {station!r}; a station is a dictionary, {{'lat': 40.0, 'long': -105.2}}")
         for key, value in station.items():
-            if key not in (*STATION_BOUNDS, "name"):
-                raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(str(key), (*STATION_BOUNDS, 'name'))}")
+            if key not in STATION_KEYS:
+                raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(str(key), STATION_KEYS)}")
+            if key == "antennas" and value:
+                whole("groundStationsData: antennas", value, 1)
             if key in STATION_BOUNDS and key not in ("lat", "long") and value:  # a falsy value is an unset one
                 number(f"groundStationsData: {key}", value, *STATION_BOUNDS[key], finite=key != "gsMaximumRange")
         for key in ("lat", "long"):

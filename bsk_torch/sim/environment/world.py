@@ -88,12 +88,17 @@ def station_places(tables: PlaceTables) -> dict[str, Places]:
     return {STATION_KIND: FixedPlaces(r_LP_P, lambda rows: sines, advice=advice, names=names, vertical=vertical)}
 
 
+ANTENNA_TICK = "antenna_tick"
+"""Field with the tick after which each station serves the satellite, where stations have a number of ``antennas``."""
+
+
 def see_stations(bus: Bus) -> None:
     """Write 1 where any station has access to the spacecraft, both as they were one tick ago, else 0 (Basilisk's groundLocation).
 
     A station at p has access to ``r = [PN] r_BN``, m in P, where ``sin(el) = v . (r - p) / (|v| |r - p|)`` is at least the sine
     of its minimum elevation and ``|r - p|`` at most its maximum range, unless that is negative. The vertical v is p, or on the
-    ellipsoid p with its shift along the axis. Sines are compared as signed squares, without roots.
+    ellipsoid p with its shift along the axis. Sines are compared as signed squares, without roots. Where satellites contend for
+    antennas, stations have access from the satellite's turn on.
     """
     r = rotate_z(bus.EN @ bus.r_BN_N, *turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h))
     n, r2 = len(bus.station_ranges), r.dot(r)
@@ -108,6 +113,8 @@ def see_stations(bus: Bus) -> None:
             shift = bus.station_shifts[i]
             up, p2 = up + shift * (r.z - p.z), p2 + shift * (2.0 * p.z + shift)
         sees = (up * torch.abs(up) >= least * torch.abs(least) * p2 * range2) & ((range2 <= reach * reach) | (reach < 0.0))
+        if bus.has(ANTENNA_TICK):
+            sees = sees & (bus.ticks > bus.antenna_tick[i])
         access = torch.where(sees, 1.0, access)
     bus.station_access = access
 
@@ -141,17 +148,22 @@ STATION_ARGS = (
 )
 
 
-def ground_stations(count: int, geodetic: bool = False) -> Component:
-    """Return the component for ``count`` stations, on the ellipsoid if ``geodetic``; both are fixed when the tick is built."""
+def ground_stations(count: int, geodetic: bool = False, contended: bool = False) -> Component:
+    """Return the component for ``count`` stations, on the ellipsoid if ``geodetic``, with antennas for which satellites contend.
+
+    All are fixed when the tick is built.
+    """
     widths = {"station_positions_P": 3 * count, "station_sin_elevations": count, "station_ranges": count}
     widths |= {"station_shifts": count} if geodetic else {}
+    turns = Field(ANTENNA_TICK, count, "-", "tick after which each station serves the satellite", many=True, exact=True)
     return Component(
         slot="ground_stations",
         update=see_stations,
         args=STATION_ARGS,
-        state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"),),
+        state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"), *((turns,) if contended else ())),
         params=tuple(Field(name, width, many=True, exact=True) for name, width in widths.items()),
         overwrites=(("station_access", "it follows from orbit and stations"),),
+        initial=(lambda args: {ANTENNA_TICK: torch.full((1, count), -1.0, dtype=torch.float64)}) if contended else None,
         prepare=station_arrays,
         places=station_places,
     )
@@ -160,14 +172,15 @@ def ground_stations(count: int, geodetic: bool = False) -> Component:
 def _fitted_stations(arguments: Mapping[str, object]) -> Component:
     """Return as many stations as are given, on the world's own sphere: satellites have an argument of the same name."""
     stations = arguments["groundStationsData"]
-    count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)
+    listed = stations if isinstance(stations, list | tuple) and stations else DEFAULT_STATIONS
+    contended = any(isinstance(station, Mapping) and station.get("antennas") for station in listed)
 
     def prepare(args: Values) -> dict[str, Tensor]:
         radius = arguments["groundLocationPlanetRadius"]
         radius = None if radius is None else torch.as_tensor(radius, dtype=torch.float64)
         return station_arrays({**args, "groundLocationPlanetRadius": radius})
 
-    return dataclasses.replace(ground_stations(count, on_ellipsoid(arguments)), prepare=prepare)
+    return dataclasses.replace(ground_stations(len(listed), on_ellipsoid(arguments), contended), prepare=prepare)
 
 
 GROUND_STATIONS = dataclasses.replace(ground_stations(len(DEFAULT_STATIONS)), fit=_fitted_stations)

@@ -12,6 +12,7 @@ from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import field, field_weights, third_body
 from bsk_torch.astro.multistep import position_weights, velocity_weights
 from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.codegen.stored import stored_kernel
 from bsk_torch.sim.component import Bus, Track, vec
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.builder import KernelBuilder
@@ -76,7 +77,7 @@ def visited(r0: Vec3, v0: Vec3, accelerations: list[Vec3], time: Tensor, weights
     return r0 + v0 * time + weighted(weights[:count], accelerations), v0 + weighted(weights[count:], accelerations)
 
 
-@cache
+@stored_kernel
 def start_kernel(degree: int) -> Kernel:
     """Return the kernel that finds positions and accelerations at the first nodes, by Picard iteration; shared is the stretch.
 
@@ -103,7 +104,7 @@ def start_kernel(degree: int) -> Kernel:
     )
 
 
-@cache
+@stored_kernel
 def flown_kernel(degree: int, writes: bool) -> Kernel:
     """Return the kernel that finds positions on the flown arc, one each tick of :data:`MULTISTEP_STEP`, and may write them.
 
@@ -143,7 +144,7 @@ def flown_step(
 NODE = Track("node", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), count=1)  # nodes of an arc, one by one
 
 
-@cache
+@stored_kernel
 def acceleration_kernel(degree: int) -> Kernel:
     """Return the kernel that writes the acceleration at a node in each tick; its state is the time, shared is the stretch."""
     builder = KernelBuilder()

@@ -5,11 +5,10 @@ It differs from the flown arc by meters: the difference is integrated with the e
 
 from __future__ import annotations
 
-from functools import cache
-
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.interpolate import position, velocity
 from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.codegen.stored import stored_kernel
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
 from bsk_torch.sim.orbit.builder import ARC, KernelBuilder
 from bsk_torch.sim.orbit.equations import FRAME_GROWTH, step_defect, zonal_field
@@ -20,7 +19,7 @@ DIFFERENCE_STEP = 2.0 * NODE_SPACING  # step, s, of the difference between the a
 PLANNED_STATE = 12  # planes: position and velocity relative to the flown arc, and the error rates of both at the last node
 
 
-@cache
+@stored_kernel
 def planned_kernel() -> Kernel:
     """Return the kernel that finds samples of the planned arc every 30 s; shared are the stretches of flown and planned arc.
 
@@ -67,7 +66,7 @@ def _hermite(share: float, ends: tuple[Vec3, Vec3], slopes: tuple[Vec3, Vec3]) -
     return values + (slopes[0] * (share * rest * rest) - slopes[1] * (share * share * rest)) * DIFFERENCE_STEP
 
 
-@cache
+@stored_kernel
 def defect_kernel() -> Kernel:
     """Return the kernel that starts the state of :func:`planned_kernel` with the error rates at the first node."""
     builder = KernelBuilder()

@@ -17,7 +17,9 @@ from bsk_torch.rl.policies.shared_policy import GroupPolicies, member_views
 
 KINDS = {
     "mlp": ("NadirScan-v1", {"time_limit": 4000.0}, {"agents": ("mlp", (8, 8))}),
+    "gru": ("NadirScan-v1", {"time_limit": 4000.0}, {"agents": ("gru", (10, 6))}),
     "real": ("CWDocking-v1", {}, {"agents": ("mlp", (8,))}),
+    "real gru": ("CWDocking-v1", {}, {"agents": ("gru", (8, 6))}),
     "attention": ("AEOSPower-v1", {"as_set": True, "n_targets": 300, "time_limit": 1200.0}, {"agents": ("attention", (32, 32))}),
     "groups": (
         "RelayConstellation-v1",
@@ -68,6 +70,10 @@ def save(kind, file):
             if isinstance(layer, torch.nn.Linear):
                 torch.nn.init.normal_(layer.weight, std=1.5 * layer.in_features**-0.5)
                 torch.nn.init.normal_(layer.bias, std=0.3)
+            elif isinstance(layer, torch.nn.GRU):
+                torch.manual_seed(5)  # actions differ, and most depend on the memory
+                for weight in layer.parameters():
+                    torch.nn.init.normal_(weight, std=1.5)
     one = len(plans) == 1
     save_policy(file, *(next(iter(part.values())) if one else part for part in (plans, built)), preset, options)
     return file, preset, options
@@ -98,11 +104,11 @@ def compiled(folder):
     replay = subprocess.run([folder / "replay"], check=True, capture_output=True, text=True).stdout
     function = ctypes.CDLL(str(folder / "policy.so")).bsk_policy_act
 
-    def act(vectors, masks, width):
-        """Numbers returned [n], and outputs [n, width], of vectors [n, D] and masks [n, A]."""
+    def act(vectors, masks, width, *memory):
+        """Numbers returned [n], and outputs [n, width], of vectors [n, D] and masks [n, A]; changes a memory [n, 1, H]."""
         vectors, masks = vectors.float().contiguous().numpy(), masks.to(torch.uint8).contiguous().numpy()
         out, chosen = np.zeros((len(vectors), width), np.float32), []
-        for row in zip(vectors, masks, out, strict=True):
+        for row in zip(vectors, masks, *(part.numpy() for part in memory), out, strict=True):
             chosen.append(function(*(ctypes.c_void_p(part.ctypes.data) for part in row)))
         return torch.tensor(chosen), torch.from_numpy(out)
 
@@ -120,6 +126,8 @@ def situations(graph, contract, n=200):
             inputs.append(mask.index_fill(0, torch.arange(0, n, 7), False))
             first = torch.randint(shape[1], (n,), generator=generator)
             inputs[-1][torch.arange(n), first] = True
+        elif row["name"] == "memory":
+            inputs.append(torch.rand(shape, generator=generator) * 2.0 - 1.0)
         elif row["name"].endswith(".mask"):
             inputs.append((torch.rand(shape, generator=generator) < 0.7).float())
         else:

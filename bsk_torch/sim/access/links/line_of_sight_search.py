@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import NamedTuple
 
 import torch
@@ -25,6 +24,7 @@ from torch import Tensor
 from bsk_torch.astro.interpolate import position, positions
 from bsk_torch.astro.sight import POLAR_STRETCH
 from bsk_torch.codegen.kernel import Kernel, Samples
+from bsk_torch.codegen.stored import stored_kernel
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, visibility_margin
 from bsk_torch.sim.component import Bus, neighbours
@@ -68,7 +68,7 @@ def flown_positions(arcs: Arcs, rows: Tensor, time: Tensor, use_kernels: bool) -
     return positions(nodes, tau * (1.0 / NODE_SPACING))
 
 
-@cache
+@stored_kernel
 def flown_position_kernel() -> Kernel:
     """Return the kernel of positions on the flown arc; its state is the time and the position."""
     builder = KernelBuilder()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.codegen.stored import stored_kernel
 from bsk_torch.sim.orbit.builder import KernelBuilder
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -42,7 +41,7 @@ def relative_geometry(r_BN_P: Vec3, v_BN_P: Vec3, c_hat_P: Vec3, omega_BP_P: Vec
     return [*r_LB_H, angle, (omega_BP_P - omega_line).norm()]
 
 
-@cache
+@stored_kernel
 def relative_geometry_kernel() -> Kernel:
     """Return the kernel of :func:`relative_geometry` for pairs of satellite and place, 15 numbers each."""
     builder = KernelBuilder()

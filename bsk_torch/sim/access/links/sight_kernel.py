@@ -17,14 +17,13 @@ from torch import Tensor
 from bsk_torch.astro.interpolate import position
 from bsk_torch.astro.sight import POLAR_STRETCH
 from bsk_torch.codegen.ir import Value
-from bsk_torch.codegen.kernel import Kernel, Samples
+from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, speed_bound, visibility_margin
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, orient_pole, put_track
-from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.builder import ARC, KernelBuilder
-from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.sim.orbit.grid import NODE_SPACING
 
 PAIRS_AT_ONCE = 1 << 18  # pairs whose orbits are gathered at once, 30 MB
 
@@ -36,7 +35,7 @@ class OrderedPairs(NamedTuple):
         env: Episode, [m].
         i: Row of the satellite with the sensor, [m].
         j: Row of the other one, [m].
-        later: 1.0 where the sensor's satellite comes first in the episode, and sees the other one a tick late, [1, m].
+        later: 1.0 where the sensor's satellite comes first in the episode, and sees the other one a tick late, [m].
         apart: False for a satellite and itself, [m].
     """
 
@@ -48,6 +47,8 @@ class OrderedPairs(NamedTuple):
 
     def after(self, envs: int, satellites: int) -> OrderedPairs:
         """Return the same pairs so many episodes later, each with so many ``satellites``."""
+        if not envs:
+            return self
         return self._replace(env=self.env + envs, i=self.i + envs * satellites, j=self.j + envs * satellites)
 
 
@@ -57,27 +58,7 @@ def ordered_pairs(num_envs: int, satellites: int) -> OrderedPairs:
     with torch.inference_mode(False):
         rows = torch.arange(num_envs * satellites).view(num_envs, satellites)
         i, j = rows.repeat_interleave(satellites, 1).flatten(), rows.repeat(1, satellites).flatten()
-        return OrderedPairs(i // satellites, i, j, (i < j).double().unsqueeze(0), i != j)
-
-
-def sensors_see(
-    arcs: Arcs, pairs: OrderedPairs, orbits: Tensor, max_range: Tensor, span: Tensor, counts: Tensor, h_ns: int
-) -> Tensor:
-    """Return whether sensors see other satellites, by ``pairs`` [m] of rows of arcs, at any tick of a span, [m] booleans.
-
-    ``orbits`` [6, rows] are present positions, m, and velocities, m/s, of all rows, ``max_range`` [rows] m the ranges of their
-    sensors, no limit if not positive. ``span`` [4, N] has the time, s, and the number of the first tick, zero, and the number
-    of the last tick of every episode, and ``counts`` [m] int64 how many of these ticks, of ``h_ns`` nanoseconds, are searched.
-    """
-    i, j = pairs.i, pairs.j
-    of_pairs = span.index_select(1, pairs.env)
-    numbers = max_range[i].unsqueeze(0), pairs.later, of_pairs[3:]
-    own, state = torch.cat([orbits.index_select(1, i), orbits.index_select(1, j), *numbers]), of_pairs[:3]
-    lead = arcs.start - LEAD_NODES * NODE_SPACING
-    tracks = Samples(arcs.ephemeris, arcs.start, i), Samples(arcs.flown, lead, i), Samples(arcs.flown, lead, j)
-    shared = torch.tensor([float(h_ns)], dtype=torch.float64)
-    sight_kernel()(state, counts, tracks, shared=shared, own=own)
-    return state[2] > 0.0
+        return OrderedPairs(i // satellites, i, j, (i < j).double(), i != j)
 
 
 @cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 
 import torch
 from torch import Tensor
@@ -14,6 +13,7 @@ from bsk_torch.astro.interpolate import coefficients, position
 from bsk_torch.astro.roots import halved, narrowed, next_guess, placed, refined, sections
 from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.codegen.stored import stored_kernel
 from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
 from bsk_torch.sim.access.visibility.interface import (
     BISECTIONS,
@@ -104,13 +104,13 @@ def _sample_kernel(name: str, function: Callable[[Vec3, Bus], list[Tensor]]) -> 
     return Kernel(name, builder.loop([time + PLAN_STEP], written, (EPHEMERIS_TRACK, FINE), time))
 
 
-@cache
+@stored_kernel
 def umbra_kernel() -> Kernel:
     """Return the kernel that writes how deep a satellite is in the umbra."""
     return _sample_kernel("eclipse search", lambda r_BN_N, ephemeris: [umbra_depth(r_BN_N, ephemeris.r_SN_N)])
 
 
-@cache
+@stored_kernel
 def ground_track_kernel() -> Kernel:
     """Return the kernel that writes the Earth-fixed position."""
     return _sample_kernel("ground track", lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
@@ -135,7 +135,7 @@ def _pair_kernel(name: str, builder: KernelBuilder, track: Track, outputs: Seque
     return Kernel(name, builder.loop(outputs, written, (track,), time))
 
 
-@cache
+@stored_kernel
 def event_kernel(geodetic: bool) -> Kernel:
     """Return the kernel that writes event codes; its state is the time and the last two clearances."""
     builder = KernelBuilder()
@@ -146,14 +146,14 @@ def event_kernel(geodetic: bool) -> Kernel:
     return _pair_kernel("access search", builder, FINE, [time + PLAN_STEP, here, clearance], [written])
 
 
-@cache
+@stored_kernel
 def clearance_kernel(geodetic: bool) -> Kernel:
     """Return the kernel that computes the clearance at one time."""
     builder = KernelBuilder()
     return _pair_kernel("access clearance", builder, GROUND_TRACK, list(_time_and_clearance(builder, GROUND_TRACK, geodetic)), [])
 
 
-@cache
+@stored_kernel
 def crossing_kernel(geodetic: bool) -> Kernel:
     """Return the kernel of the search for a crossing: first bisections, then regula falsi; see ``roots.find_root``."""
     builder = KernelBuilder()
@@ -167,7 +167,7 @@ def crossing_kernel(geodetic: bool) -> Kernel:
     return _pair_kernel("access crossings", builder, GROUND_TRACK, [guess, a, b, clearance_a, clearance_b], [])
 
 
-@cache
+@stored_kernel
 def culmination_kernel(geodetic: bool) -> Kernel:
     """Return the kernel of the golden-section search for a culmination; see ``roots.find_maximum``."""
     builder = KernelBuilder()
