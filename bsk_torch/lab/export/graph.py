@@ -123,17 +123,17 @@ class PolicyGraph(nn.Module):
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Return the outputs for inputs [N, ...] each."""
-        given = dict(zip(self.paths, inputs, strict=True))
-        parts = [value for path, value in given.items() if path[:1] == OBSERVATION]
+        entries = dict(zip(self.paths, inputs, strict=True))
+        parts = [value for path, value in entries.items() if path[:1] == OBSERVATION]
         after: list[Tensor] = []
         if self.rows is not None:
             *own, rows, exists = parts
-            out = self.network(self.own(flat(own)), self.rows(rows), exists.bool(), given[MASK])
-        elif MEMORY in given:
-            out, *after = self.network(self.own(parts[0]), given[MEMORY])
+            out = self.network(self.own(flat(own)), self.rows(rows), exists.bool(), entries[MASK])
+        elif MEMORY in entries:
+            out, *after = self.network(self.own(parts[0]), entries[MEMORY])
         else:
             out = self.network(self.own(parts[0]))
         if self.is_real:
             return (out.tanh().clamp(-EDGE, EDGE) * self.reach + self.middle, *after)
-        legal = narrowed(self.only, flat(parts), given[MASK]) if self.only else given[MASK]
+        legal = narrowed(self.only, flat(parts), entries[MASK]) if self.only else entries[MASK]
         return (out.masked_fill(~legal, -torch.inf).argmax(-1), out, *after)

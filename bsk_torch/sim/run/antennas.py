@@ -81,10 +81,10 @@ class Antennas:
         since = self.fleet.memory[SINCE]
         since = torch.where(since == IDLE, self.fleet.sim_time.unsqueeze(1), since).unsqueeze(2)
         begin, index = torch.maximum(opens, since), torch.arange(self.fleet.size, device=opens.device)
-        mine, others = (begin.unsqueeze(2), opens.unsqueeze(2)), (begin.unsqueeze(1), opens.unsqueeze(1))
-        tied = (others[1] < mine[1]) | ((others[1] == mine[1]) & (index < index.unsqueeze(1)).unsqueeze(2))
-        before = (others[0] < mine[0]) | ((others[0] == mine[0]) & tied)
-        served = before & self._transmits()[:, None, :, None] & (closes.unsqueeze(1) > mine[0])
+        own, others = (begin.unsqueeze(2), opens.unsqueeze(2)), (begin.unsqueeze(1), opens.unsqueeze(1))
+        tied = (others[1] < own[1]) | ((others[1] == own[1]) & (index < index.unsqueeze(1)).unsqueeze(2))
+        before = (others[0] < own[0]) | ((others[0] == own[0]) & tied)
+        served = before & self._transmits()[:, None, :, None] & (closes.unsqueeze(1) > own[0])
         ends = torch.where(served, closes.unsqueeze(1), -torch.inf).sort(2, descending=True).values
         return begin, ends.gather(2, (self.number - 1).expand_as(begin).unsqueeze(2)).squeeze(2)
 

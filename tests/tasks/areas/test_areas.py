@@ -17,7 +17,7 @@ from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
-PROPS = ("opens", "closes", "weight", "remaining", "gain", "offset")
+PROPS = ("opens", "closes", "weight", "remaining", "gain", "offset", "pays", "opens_soon", "closes_soon")
 
 
 def make(**options):
