@@ -11,6 +11,7 @@ from bsk_torch.rand import first_key
 from bsk_torch.rl.policies.shared_policy import baseline
 from bsk_torch.tasks.areas import AreaProperties, AreaReward, Areas, cap, random_caps
 from bsk_torch.tasks.areas.preset import AreaScanner, area_args, round_areas
+from bsk_torch.tasks.areas.rules import AreaRule
 from bsk_torch.tasks.areas.scene import RECORDED
 from bsk_torch.viz.episodes import draw, record
 from tests.support.refusals import check_refusals, refusal
@@ -37,16 +38,24 @@ def test_the_preset_plays():
     env = make()
     td, played = scan(env, 3)
     assert torch.equal(torch.isfinite(played["observation"]), torch.ones_like(played["observation"], dtype=torch.bool))
-    assert played["observation"].shape == (3, 3, 36)
+    assert played["observation"].shape == (3, 3, 48)
     assert played["observation"].dtype == torch.float32
     names = env.satellite.observation_description[12:]
     assert names == [f"areas.areas_{k}.{name}" for k in range(4) for name in PROPS]
-    areas = played["observation"][..., 12:].unflatten(-1, (4, 6))
+    areas = played["observation"][..., 12:].unflatten(-1, (4, len(PROPS)))
     assert ((areas >= 0.0) & (areas <= 1.0))[..., :5].all()
     assert (areas[..., 5].abs() <= 1.0).all()
     assert (areas[..., 4] <= areas[..., 3]).all()
+    torch.testing.assert_close(areas[..., 6], areas[..., 2] * areas[..., 4])
+    torch.testing.assert_close(areas[..., 7:], torch.exp(-areas[..., :2] * 5700.0 / 240.0), rtol=1e-4, atol=1e-6)  # float32 sees t
     assert td["action_mask"].all()
+    assert make(revisit=600.0).scenario.revisit == 600.0
     assert env.scenario.memory[RECORDED].shape == (3, 100, max(len(area.share) for area in round_areas()))
+
+
+def test_thresholds_of_the_rule_can_be_tuned():
+    tuned = bsk_torch.tune(AreaRule(), make(time_limit=600.0), {"lead": (60.0, 600.0)}, settings=2, episodes=1, rounds=1, fresh=2)
+    assert 60.0 <= tuned.thresholds["lead"] <= 600.0
 
 
 def test_episodes_do_not_depend_on_the_batch():
@@ -121,10 +130,10 @@ def test_what_a_scan_is_expected_to_record_is_recorded():
     td, ahead = scan(env, 3)[0], {}
     with env.record(("r_BN_P",), every=10) as recording:
         for _ in range(30):
-            areas, time = td["observation"][:, 12:].unflatten(-1, (4, 6)), env.satellite.simulator.sim_time
+            areas, time = td["observation"][:, 12:].unflatten(-1, (4, len(PROPS))), env.satellite.simulator.sim_time
             place = env.satellite.find_next_opportunities(4, "area").place
             for e, k in ((areas[..., 0] > 0.0) & (areas[..., 1] < 1.0)).nonzero().tolist():  # not open yet, and within an orbit
-                _, closes, _, _, gain, offset = areas[e, k].tolist()
+                _, closes, _, _, gain, offset, *_ = areas[e, k].tolist()
                 ahead[e, int(place[e, k])] = gain, offset, 5700.0 * closes + float(time[e])
             td, _ = scan(env, 1, td)
     scenario, end = env.scenario, float(env.satellite.simulator.sim_time[0])
@@ -148,12 +157,12 @@ def test_what_a_scan_is_expected_to_record_is_recorded():
 def test_gain_counts_what_lies_ahead():
     env = make(num_envs=16, seed=3, dtype=torch.float64)
     td, _ = scan(env, 6)
-    areas = td["observation"][:, 12:].unflatten(-1, (4, 6))
+    areas = td["observation"][:, 12:].unflatten(-1, (4, len(PROPS)))
     inside = areas[..., 0] == 0.0
     assert inside.any()
     for _ in range(2):
         td = env.step(td.set("action", torch.ones(16, dtype=torch.int64)))["next"]  # charging records nothing
-        after = td["observation"][:, 12:].unflatten(-1, (4, 6))
+        after = td["observation"][:, 12:].unflatten(-1, (4, len(PROPS)))
     same = (env.satellite.find_next_opportunities(4, "area").place >= 0) & (after[..., 2] == areas[..., 2]) & inside
     assert (after[..., 4] <= areas[..., 4])[same].all()
 

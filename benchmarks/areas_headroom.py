@@ -1,7 +1,7 @@
 """Head-room of tasks of areas: rules, a rule tuned by search, trained policies, and planners that improve either.
 
 Usage:
-    python benchmarks/areas.py [--revisit 11400] [--n-areas 100] [--settings 192] [--episodes 256]
+    python benchmarks/areas_headroom.py [--revisit 11400] [--n-areas 100] [--settings 192] [--episodes 256]
         [--runs FOLDER ...] [--planned 32] [--horizon 3000] [--time-limit 28500] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired, and
@@ -58,7 +58,7 @@ def environment(options: argparse.Namespace, episodes: int) -> SatelliteTasking:
 def main() -> None:
     """Measure the entrants and print a table."""
     parsed = harness.parser(__doc__, settings=192, episodes=256, planned=0, horizon=3000.0, n_areas=100, time_limit=5 * ORBIT)
-    parsed.add_argument("--revisit", type=float, metavar="S", help="time after which a recorded cell is due again")
+    parsed.add_argument("--revisit", type=float, metavar="S", help="time after which a recorded cell pays again, s")
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
