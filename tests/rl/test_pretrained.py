@@ -28,7 +28,7 @@ def test_a_pretrained_policy_has_its_score(preset):
     torch.testing.assert_close(result.returns.mean(), expected.mean(), rtol=SAME, atol=0.0)
 
 
-WITHOUT = {"AEOSBench-v1", "Areas-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1", "CWDocking-v1", "CWInspection-v1"}
+WITHOUT = {"AEOSBench-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1", "CWDocking-v1", "CWInspection-v1"}
 WITHOUT |= {"Sites-v1", "SitesTeam-v1"}
 """Presets without a policy."""
 
