@@ -80,9 +80,12 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
     pairs = torch.zeros(n, s, s, dtype=torch.bool, device=fleet.device)
     ticks = fleet.ticks
     counts = _searched(fleet.since, ticks, asked)
-    if s < 2 or not bool(counts.any()):
+    if s < 2:
         return pairs
-    _check(bool(_lost(fleet, asked)))
+    some, lost = torch.stack([counts.any(), _lost(fleet, asked)]).tolist()
+    if not some:
+        return pairs
+    _check(lost)
     search = make_search(fleet, fleet.since, torch.maximum(ticks - 1, fleet.since))
     for some in torch.nonzero(counts).squeeze(-1).split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
         pairs[some] = search.visible_pairs(some, directed)

@@ -158,7 +158,7 @@ def turn_times(position: Tensor, aim: Tensor, place: Tensor) -> Tensor:
         aim: Unit vectors along their instruments, [N, B, 3].
         place: Places to image, 1,000 km, [N, K, 3].
     """
-    square = along = torch.zeros(())
+    square = along = torch.zeros((), dtype=torch.float32)
     for k in range(3):  # not by matrices, whose products depend on the size of the batch
         rho = place[..., k].unsqueeze(1) - position[..., k].unsqueeze(2)
         square, along = square + rho * rho, along + rho * aim[..., k].unsqueeze(2)
@@ -216,7 +216,7 @@ class Schedule:
         satellite, actions = cast(BoundImagingSatellite, self.env.satellite), image_actions(self.env)
         ahead, track = look_ahead(satellite, self.images), Track.of(satellite)
         legal = torch.nn.functional.pad(action_mask[:, actions.start : actions.stop], (0, self.images - len(actions)))
-        zero = torch.zeros(len(legal), 1, device=legal.device)
+        zero = torch.zeros(len(legal), 1, dtype=torch.float32, device=legal.device)
         none = zero.long()
         taken = none.unsqueeze(2).expand(-1, -1, self.images)
         beam = Beam(zero, satellite.fsw.c_hat_P.float().unsqueeze(1), taken, zero, none, none)
