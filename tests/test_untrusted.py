@@ -153,8 +153,8 @@ def test_json_and_packed_bytes_have_bounds():
     )
 
 
-OWN_FILES = {"_listed.py", "cli/presets.py", "lab/suites/suite.py", "viewer/page.py", "viz/figures/world.py"}
-"""Modules that read JSON files of the package itself."""
+OWN_FILES = {"_listed.py", "cli/presets.py", "lab/suites/suite.py", "viewer/page.py", "viz/figures/world.py", "codegen/stored.py"}
+"""Modules that read JSON files of the package itself, or such as it has written, sealed, into its cache."""
 
 TRUSTED = {"rl/policies/network_files.py", "rl/policies/sb3_zip.py", "rl/marl/benchmarl.py"}
 """Modules with readers that unpickle; ``KINDS`` of policies says what they execute, and asks for trust before."""

@@ -47,7 +47,7 @@ def test_the_preset_plays():
     assert (areas[..., 5].abs() <= 1.0).all()
     assert (areas[..., 4] <= areas[..., 3]).all()
     torch.testing.assert_close(areas[..., 6], areas[..., 2] * areas[..., 4])
-    torch.testing.assert_close(areas[..., 7:], torch.exp(-areas[..., :2] * 5700.0 / 240.0), rtol=1e-4, atol=1e-6)  # float32 sees t
+    torch.testing.assert_close(areas[..., 7:], torch.exp(-areas[..., :2] * (5700.0 / 240.0)), rtol=1e-4, atol=1e-6)
     assert td["action_mask"].all()
     assert make(revisit=600.0).scenario.revisit == 600.0
     assert env.scenario.memory[RECORDED].shape == (3, 100, max(len(area.share) for area in round_areas()))
