@@ -209,7 +209,7 @@ def scores() -> dict[str, dict[str, Any]]:
     return dict(json.loads(SCORES.read_text())["presets"]) if SCORES.exists() else {}
 
 
-KNOWN = {
+REMARKS = {
     "Sites-v1": "five trainings of its recipe gained 0.5 to 1.2 over commit",
     "CWDocking-v1": "no policy can gain more than 0.13 over glide",
     "CWInspection-v1": "no policy can gain more than 0.02 over seek",

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bsk_torch._listed import KNOWN, LISTED, ONE, makings, scores
+from bsk_torch._listed import LISTED, ONE, REMARKS, makings, scores
 from bsk_torch._rooms import absent_room
 from bsk_torch.tables import line_width, print_table
 
@@ -53,8 +53,8 @@ def scored(name: str) -> str:
     digits = 3 if abs(rule) < 10.0 else 1
     line = f"\n{entry['best_rule']} {rule:.{digits}f}, "
     if gain is None:
-        known = f" ({KNOWN[name]})" if name in KNOWN else ""
-        return f"{line}no policy{known}, n={entry['episodes']}"
+        remark = f" ({REMARKS[name]})" if name in REMARKS else ""
+        return f"{line}no policy{remark}, n={entry['episodes']}"
     policy = returns["pretrained"]
     share = gain["mean"] / (max(policy, rule) - random)
     interval = f"{gain['mean']:+.{digits}f} ± {gain['half_width']:.{digits}f}"

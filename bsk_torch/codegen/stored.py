@@ -14,15 +14,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, wraps
 from pathlib import Path
-from typing import ParamSpec
 
 import torch
 
 from bsk_torch.codegen.build import processor
 from bsk_torch.codegen.cache import PRIVATE, build_folder, cache_folder, check_owner, read_trusted
 from bsk_torch.codegen.kernel import Kernel, Printed
-
-P = ParamSpec("P")
 
 PARTS = ("astro", "codegen", "sim")
 """What kernels are traced from, with the modules next to these; imports run one way, so that nothing else can change them."""
@@ -43,24 +40,24 @@ def source_hash() -> bytes:
     return total.digest()
 
 
-def stored_kernel(make: Callable[P, Kernel]) -> Callable[P, Kernel]:
+def stored_kernel(make: Callable[..., Kernel]) -> Callable[..., Kernel]:
     """Return ``make``, which returns a kernel without a stop, with files of its kernels; a process keeps those that it has made.
 
-    Nothing but its arguments and the source of :data:`PARTS` may decide what ``make``, defined there, returns.
+    ``make`` is defined in :data:`PARTS`. Nothing but their source, and its arguments, which name the file, may decide the result.
     """
 
     @cache
     @wraps(make)
-    def kernel(*args: P.args, **kwargs: P.kwargs) -> Kernel:
+    def kernel(*args: object) -> Kernel:
         path = cache_folder() / f"{'-'.join([make.__module__, make.__name__, *map(str, args)])}.json"
         if (read := _read(path)) is not None:
             return Kernel(*read)
-        made = make(*args, **kwargs)
+        made = make(*args)
         with suppress(OSError):  # the next process traces it, too
             _write(path, made)
         return made
 
-    return kernel  # type: ignore[return-value]
+    return kernel
 
 
 def _seal(content: bytes) -> bytes:

@@ -42,8 +42,8 @@ def build(antennas: Sequence[float | None], num_envs: int = 4, **options: Any) -
     stations = [{"lat": 0.0, "long": x, "antennas": k} for x, k in zip(LONGITUDES, antennas, strict=True)]
     satellites = [kind(f"S{k}", scanning_args(), **SPECS) for k, kind in enumerate(KINDS)]
     world = dict(groundStationsData=stations, gsMinimumElevation=math.radians(25.0))
-    given = dict(world_args=world, sat_arg_randomizer=formations.train_args(3.0, inc=3.0), time_limit=6000.0, num_envs=num_envs)
-    return ConstellationTasking(satellites, **{**given, "failure_penalty": 0.0, "seed": 4, **options})
+    orders = dict(world_args=world, sat_arg_randomizer=formations.train_args(3.0, inc=3.0), time_limit=6000.0, num_envs=num_envs)
+    return ConstellationTasking(satellites, **{**orders, "failure_penalty": 0.0, "seed": 4, **options})
 
 
 def flown(env: ConstellationTasking, actions: Tensor) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
@@ -54,20 +54,20 @@ def flown(env: ConstellationTasking, actions: Tensor) -> tuple[list[Tensor], lis
     with env.record(("station_access", "r_BN_P")) as recording:
         sending = []
         for action in actions:
-            given = torch.where(env.requires_retasking, action, NO_ACTION)
-            env.play([given[:, 0::2], given[:, 1::2]], torch.ones(env.num_envs, dtype=torch.bool))
+            orders = torch.where(env.requires_retasking, action, NO_ACTION)
+            env.play([orders[:, 0::2], orders[:, 1::2]], torch.ones(env.num_envs, dtype=torch.bool))
             modes = env.fleet.joined([s.simulator.mode == s.simulator.mode_names.index("downlink") for s in env.satellites])
             sending.append((env.fleet.ticks.clone(), modes))
     data = recording.data
     serves, transmits, near = [], [], []
     for k in range(env.num_envs):
-        mine = data[data["env"] == k]
-        mine = mine[mine["tick"] > 0]
+        rows = data[data["env"] == k]
+        rows = rows[rows["tick"] > 0]
         last = torch.stack([ticks[k] for ticks, _ in sending])
-        step = torch.searchsorted(last, mine["tick"])
+        step = torch.searchsorted(last, rows["tick"])
         transmits.append(torch.stack([modes[k] for _, modes in sending])[step])
-        serves.append(mine["station_access"] > 0.5)
-        r = mine["r_BN_P"]
+        serves.append(rows["station_access"] > 0.5)
+        r = rows["r_BN_P"]
         longitude = torch.rad2deg(torch.atan2(r[..., 1], r[..., 0]))
         near.append(torch.round(longitude / 45.0).long() % len(LONGITUDES))
     return serves, transmits, near
@@ -122,8 +122,8 @@ def test_observed_waits_are_those_until_satellites_are_served(last: int, checked
     env.reset()
 
     def play(last: int) -> None:
-        given = torch.tensor([[*[DOWNLINK] * 4, last]]).expand(2, -1).where(env.requires_retasking, torch.tensor(NO_ACTION))
-        env.play([given[:, 0::2], given[:, 1::2]], torch.ones(2, dtype=torch.bool))
+        orders = torch.tensor([[*[DOWNLINK] * 4, last]]).expand(2, -1).where(env.requires_retasking, torch.tensor(NO_ACTION))
+        env.play([orders[:, 0::2], orders[:, 1::2]], torch.ones(2, dtype=torch.bool))
 
     play(DRIFT)
     seen = env.fleet.joined([satellite.observations.get_vector(torch.float64) for satellite in env.satellites])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from bsk_torch._listed import KNOWN, LISTED, makings, scores
+from bsk_torch._listed import LISTED, REMARKS, makings, scores
 from bsk_torch.cli.presets import scored
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.training import verdict as module
@@ -76,14 +76,14 @@ def test_a_training_ends_with_the_better_of_policy_and_rule(monkeypatch, preset,
 
 
 def test_presets_without_a_policy_say_what_policies_can_gain():
-    assert verdict(results(glide=0.0, trained=-1.0), "CWDocking-v1").replace("\n", " ").endswith(KNOWN["CWDocking-v1"])
-    assert KNOWN["CWDocking-v1"] in scored("CWDocking-v1")
-    assert set(makings()).isdisjoint(KNOWN)
+    assert verdict(results(glide=0.0, trained=-1.0), "CWDocking-v1").replace("\n", " ").endswith(REMARKS["CWDocking-v1"])
+    assert REMARKS["CWDocking-v1"] in scored("CWDocking-v1")
+    assert set(makings()).isdisjoint(REMARKS)
     for name in ("docking", "inspection"):
         found = json.loads((ROOT / "benchmarks" / "results" / f"thruster_{name}.json").read_text())
         rule = found["rows"][1]
         most = math.ceil(100.0 * (found["bound"] - rule["return"])) / 100.0
-        assert KNOWN[found["options"]["preset"]] == f"no policy can gain more than {most} over {rule['entrant']}"
+        assert REMARKS[found["options"]["preset"]] == f"no policy can gain more than {most} over {rule['entrant']}"
 
 
 def test_a_comparison_takes_a_tenth_of_the_training_at_most(monkeypatch):

@@ -181,14 +181,14 @@ def read_experiment(file: Path) -> Loaded:
             task=task,
         )
         policy = algorithm.get_algorithm(experiment=experiment).get_policy_for_collection().requires_grad_(False)
-        expected, given = ({name: list(part.shape) for name, part in state.items()} for state in (weights, policy.state_dict()))
-        if expected != given:
-            name = next(name for name in (*expected, *given) if expected.get(name) != given.get(name))
+        expected, actual = ({name: list(part.shape) for name, part in state.items()} for state in (weights, policy.state_dict()))
+        if expected != actual:
+            name = next(name for name in (*expected, *actual) if expected.get(name) != actual.get(name))
             own = "" if config.share_policy_params else "weights of each satellite (share_policy_params=False), another team, "
             team = ", ".join(f"{len(names)} {group}" for group, names in groups.items())
             raise ValueError(
                 f"{title} has {own}other observations or actions than {where} with {team}: "
-                f"{name} is {expected.get(name)}, here {given.get(name)}"
+                f"{name} is {expected.get(name)}, here {actual.get(name)}"
             )
         policy.load_state_dict(weights)
         return WholePolicy(policy)

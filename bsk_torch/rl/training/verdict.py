@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping
 
-from bsk_torch._listed import KNOWN, makings, scores
+from bsk_torch._listed import REMARKS, makings, scores
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.results import TRAINED
 from bsk_torch.rl.training.config import SECONDS, PPOConfig
@@ -70,7 +70,7 @@ def remedy(preset: str, rule: str) -> tuple[str, ...]:
     if entry is None:
         return (f"train longer (--minutes), or imitate the rule at the start (imitate={rule})",)
     if published is None:
-        return (KNOWN.get(preset, f"no training is known to do better in {preset}: use the rule"),)
+        return (REMARKS.get(preset, f"no training is known to do better in {preset}: use the rule"),)
     gain = f"{entry['gain']['mean']:+.3g} ± {entry['gain']['half_width']:.2g}"
     if entry["gain"]["mean"] <= entry["gain"]["half_width"]:
         return (f"in {preset}, the published policy is not known to be better than {entry['best_rule']} ({gain}): use the rule",)

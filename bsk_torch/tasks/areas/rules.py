@@ -43,7 +43,8 @@ class AreaRule(ScanRule):
     def decide(self, observation: Tensor, description: Sequence[str], actions: Sequence[str]) -> Tensor:
         wish = super().decide(observation, description, actions)
         see = Columns(observation, description)
-        soon = see.all("opens") * HORIZON <= torch.as_tensor(self.lead).unsqueeze(-1)
+        lead = torch.as_tensor(self.lead, dtype=observation.dtype, device=observation.device).unsqueeze(-1)  # or one for each row
+        soon = see.all("opens") * HORIZON <= lead
         brings = torch.where(soon, see.all("weight") * see.all("gain"), 0.0).amax(-1)
         idle = brings <= self.least + self.scarce * see["storage_level_fraction"]
         return torch.where(idle & (wish == actions.index("action_nadir_scan")), actions.index("action_charge"), wish)

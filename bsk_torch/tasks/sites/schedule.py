@@ -56,7 +56,7 @@ class Ahead(NamedTuple):
         open: Time until the window opens, s, [N, K].
         close: Time until the window or the episode ends, s, [N, K]; minus infinity for padding.
         bit: A power of two for each image of a site, [N, K].
-        known: Sum of the bits of the images of its site that are among the K, [N, K].
+        members: Sum of the bits of the images of its site that are among the K, [N, K].
         earlier: The same of those of them that close no later, [N, K].
         same: Whether two images are of one site, as 0 or 1, [N, K, K].
         leads: Whether the image is the first of its site, [N, K].
@@ -67,7 +67,7 @@ class Ahead(NamedTuple):
     open: Tensor
     close: Tensor
     bit: Tensor
-    known: Tensor
+    members: Tensor
     earlier: Tensor
     same: Tensor
     leads: Tensor
@@ -99,20 +99,21 @@ def look_ahead(satellite: BoundAccessSatellite, images: int) -> Ahead:
     """Return what is known of the next ``images`` images of each satellite."""
     scenario: Sites = satellite.scenario
     look_up, now = satellite.simulator.look_up, satellite.simulator.sim_time.unsqueeze(1)
-    found = satellite.find_next_opportunities(images, "target")
-    site, number = found.place // scenario.most, found.place % scenario.most
-    same = (site.unsqueeze(2) == site.unsqueeze(1)) & found.mask.unsqueeze(1) & found.mask.unsqueeze(2)
+    windows = satellite.find_next_opportunities(images, "target")
+    site, number = windows.place // scenario.most, windows.place % scenario.most
+    same = (site.unsqueeze(2) == site.unsqueeze(1)) & windows.mask.unsqueeze(1) & windows.mask.unsqueeze(2)
     bit = 2**number
     of_site = same * bit.unsqueeze(1)
     size, done = look_up(scenario.drawn("site_size"), site), look_up(scenario.done, site)
     clear = (1.0 - scenario.drawn("image_risk")).unflatten(1, (-1, scenario.most)).float()
-    value = (look_up(scenario.priority, found.place) * size).float()
+    value = (look_up(scenario.priority, windows.place) * size).float()
+    closes = torch.minimum(windows.close, satellite.time_limit.unsqueeze(1)) - now
     return Ahead(
-        place=found.r_LP_P.float() * 1e-6,
-        open=(found.open - now).float(),
-        close=torch.where(found.mask, torch.minimum(found.close, satellite.time_limit.unsqueeze(1)) - now, -torch.inf).float(),
+        place=windows.r_LP_P.float() * 1e-6,
+        open=(windows.open - now).float(),
+        close=torch.where(windows.mask, closes, -torch.inf).float(),
         bit=bit,
-        known=of_site.sum(2),
+        members=of_site.sum(2),
         earlier=of_site.tril().sum(2),
         same=same.float(),
         leads=same.float().argmax(2) == torch.arange(images, device=site.device),
@@ -250,7 +251,7 @@ class Schedule:
 
     def _hope(self, beam: Beam, ahead: Ahead) -> tuple[Tensor, Tensor]:
         """Return what the rest of the site of each image is worth, if begun, and its images in reach, [N, B, K] each."""
-        left, bit, time = ahead.known.unsqueeze(1) & ~beam.taken, ahead.bit.unsqueeze(1), beam.time.unsqueeze(2)
+        left, bit, time = ahead.members.unsqueeze(1) & ~beam.taken, ahead.bit.unsqueeze(1), beam.time.unsqueeze(2)
         last = time + self.judgment.each * _number(left & ahead.earlier.unsqueeze(1))
         late = (last > ahead.close.unsqueeze(1)) & (left & bit > 0)
         reach = left & ~((late * bit).float() @ ahead.same).long()
