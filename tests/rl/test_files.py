@@ -18,7 +18,7 @@ from tests.support.refusals import check_refusals, refusal
 
 PACKAGE = Path(bsk_torch.__file__).parent
 
-WRITERS = {"files.py", "codegen/build.py", "codegen/prepared.py"}
+WRITERS = {"files.py", "codegen/build.py", "codegen/prepared.py", "codegen/stored.py"}
 """Modules that write files themselves."""
 
 ENTRIES = {"weights": {"a": torch.arange(600.0), "b": torch.ones(3, dtype=torch.bool)}, "n": 3, "name": "x", "pair": (1, 2.5)}

@@ -118,6 +118,7 @@ def test_decisions_do_not_depend_on_the_batch(flown):
         td = policy(td)
         assert td["action"].tolist() == action[1:2].tolist()
         td = env.step(td)["next"]
+    assert len(played) == 5
 
 
 def test_schedules_return_more_than_rules_that_rank_images():
