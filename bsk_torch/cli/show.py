@@ -54,14 +54,15 @@ def show_schedule(
     if preset is None:
         echo("\n".join(slot_lines(SCHEDULE)))
         return
-    from bsk_torch.env.native import reason_for_tensors
+    from bsk_torch.env.native import only_images, reason_for_tensors
 
     env = made(preset, 1, {"backend": "eager"})
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)
         echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.type.schedule))]))
     reason = reason_for_tensors(env)
-    echo(f"Phases of a step: {'kernels of rows' if reason is None else f'on tensors, because of {reason}'}")
+    images = ", but images begin and end by kernels of rows" if all(map(only_images, env.satellites)) else ""
+    echo(f"Phases of a step: {'kernels of rows' if reason is None else f'on tensors, because of {reason}{images}'}")
 
 
 def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:

@@ -155,18 +155,23 @@ class NativePhases:
         return {"reward": reward.to(env.dtype), **flags, "duration": duration.to(env.dtype)}
 
 
+def only_images(satellite: SatelliteGroup) -> bool:
+    """Return whether :class:`~bsk_torch.act.Image`, with one instrument and no tank, is all that satellites of one type do."""
+    simulator, actions = satellite.simulator, satellite.actions
+    images = isinstance(actions, ActionBuilder) and [type(entry) for entry in actions.entries] == [Image]
+    plain = getattr(type(satellite), "note_events", None) is BoundImagingSatellite.note_events
+    return images and plain and not (simulator.type.instruments or simulator.has_tank)
+
+
 class NativeImages:
     """Decides and commands satellites that only image, in one kernel; targets chosen by their index are left to tensors."""
 
     @classmethod
     def of(cls, satellite: SatelliteGroup) -> NativeImages | None:
-        """Return the kernel of satellites of one type; None where :class:`~bsk_torch.act.Image` is not all that they do."""
-        simulator, actions = satellite.simulator, satellite.actions
+        """Return the kernel of satellites of one type; None without kernels, or where they do not only image."""
+        simulator = satellite.simulator
         compiled = isinstance(simulator.runners.run, Kernel) and simulator.observer.kernels
-        images = isinstance(actions, ActionBuilder) and [type(entry) for entry in actions.entries] == [Image]
-        plain = getattr(type(satellite), "note_events", None) is BoundImagingSatellite.note_events
-        others = simulator.type.instruments or simulator.has_tank
-        return cls(satellite) if compiled and images and plain and not others else None
+        return cls(satellite) if compiled and only_images(satellite) else None
 
     def __init__(self, satellite: SatelliteGroup) -> None:
         """Build the kernels."""
