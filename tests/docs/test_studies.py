@@ -114,6 +114,17 @@ def test_references_count_the_gain_of_planners_in_the_episodes_that_they_play(su
     assert suite.references(head, {"sites": unsure})["sites"]["high"]["source"] == "hasty, bsk_torch 0.3.0"
 
 
+def test_published_runs_of_a_seed_are_one_policy_and_keep_their_cost(suite):
+    row = {"returns": [1.0, 1 / 3], "training": {"decisions": 9}, "survival": 1.0}
+    results = {"sites": {"runs/sites/seed_0": row, "commit": row}, "areas": {"runs/areas/seed_0": row}}
+    content = suite.public({"suite": "v3"}, results, ["ppo=ppo/seed_*"])
+    kept = {"returns": [1.0, 0.3333333], "training": {"decisions": 9}}
+    assert content["methods"] == {"ppo": ["ppo/seed_0"]}
+    assert content["policies"] == {"ppo/seed_0": {"sites": kept, "areas": kept}, "commit": {"sites": kept}}
+    with pytest.raises(ValueError, match="two runs of the same seed in areas"):
+        suite.public({}, {"areas": {"runs/areas/seed_0": row, "runs/areas_revisit/seed_0": row}}, [])
+
+
 def test_planners_of_several_runs_are_joined(sites):
     parts = [
         {"returns": [4.0, 6.0], "gains": [1.0, 2.0], "over_random": [4.0, 6.0], "measures": {}, "cpu": 2.0},

@@ -138,7 +138,7 @@ def print_board(board: Board) -> None:
             | {"same on Basilisk": f"{equal} of {repeated}" if repeated else "", "library": ", ".join(board.libraries[name])}
         )
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
-    expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better)
+    expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better, "decisions")
     print_table(table, title, expendable, left=("method", "library", "track"))
     print_message(
         "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes, and of the references where these have "
