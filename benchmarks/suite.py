@@ -151,8 +151,8 @@ def public(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]], me
             known = policies.setdefault(RUN.sub(r"ppo/\1", name), {})
             if task in known:
                 raise ValueError(f"two runs of the same seed in {task}: {name} and another one")
-            flown = {"basilisk": row["basilisk"]} if "basilisk" in row else {}
-            known[task] = {"returns": [float(f"{value:.{DIGITS}g}") for value in row["returns"]]} | flown
+            others = {key: row[key] for key in ("library", "training", "basilisk") if key in row}
+            known[task] = {"returns": [float(f"{value:.{DIGITS}g}") for value in row["returns"]]} | others
     return {**head, "methods": methods_of(policies, methods), "policies": policies}
 
 

@@ -65,8 +65,6 @@ benchmarks/faults.py --seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limi
   compiled: (?s)survival.*\| cautious \| 100.0% .*return.*\| trained, faults: all \| -?[\d.]+ \|[ ]
 benchmarks/faults_headroom.py --seeds 1 --episodes 2 --planned 3 --futures 1 --num-envs 2 --frames 32 --time-limit 300
   compiled: (?s)\| trained, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \|[ ]
-benchmarks/headroom.py --candidates dim_scan --episodes 2 --draws 1 --tuned 2 --policies pretrained
-  compiled: (?s)dim_scan, tuned: .*\| dim_scan \| .* \| pretrained: [\d.]+ \+- [\d.]+ \|[ ]
 benchmarks/inspection.py --batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres
   compiled: \| manoeuvres \| 2 \| [\d,.]+ \| - \|
 benchmarks/inspection_rules.py --episodes 2 --time-limit 700

@@ -10,34 +10,6 @@ from docs._ext.markdown import code, command, table, whole
 from docs._ext.results import certificate, load, measured, with_command
 
 
-def candidates() -> str:
-    """Return how far policies and planners are ahead of the best rule, by candidate for a task of the suite v2."""
-    head = [
-        "candidate",
-        "random",
-        "best rule",
-        "best policy or planner",
-        "episodes",
-        "gain",
-        "share of head-room",
-        "in the suite",
-    ]
-    rows = [
-        [
-            f"`{row['candidate']}` ({row['preset']})",
-            f"{row['random']:.3f}",
-            f"{entrant(row['rule'])}: {with_half(row['rule_return'], row['rule_half'])}",
-            f"{entrant(row['best'])}: {with_half(row['best_return'], row['best_half'])}",
-            whole(row["episodes"]),
-            f"{row['gain']:+.3f} ±\u00a0{row['gain_half']:.3f}",
-            f"{row['share']:.2f} ({row['share_low']:.2f} to {row['share_high']:.2f})",
-            "yes" if row["task"] else "no",
-        ]
-        for row in sorted(load("headroom")["rows"], key=lambda row: -row["share"])
-    ]
-    return table(head, rows) + "\n"
-
-
 def suites(name: str) -> str:
     """Return what policies reach in a suite, in a table for each preset."""
     content = load(name)
@@ -212,7 +184,6 @@ def digits_of(value: float) -> str:
 
 
 TABLES: dict[str, Callable[..., str]] = {
-    "candidates": candidates,
     "services": services,
     "aeos_bench": aeos_bench,
     "greedy_flights": greedy_flights,

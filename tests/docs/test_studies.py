@@ -32,8 +32,8 @@ def imported(name):
     return module
 
 
-NAMES = ("clouds", "suite", "headroom", "distillation", "adversary", "sites")
-clouds, suite, headroom, distillation, adversary, sites = map(imported, NAMES)
+NAMES = ("clouds", "suite", "distillation", "adversary", "sites")
+clouds, suite, distillation, adversary, sites = map(imported, NAMES)
 
 
 def test_clouds_change_every_half_hour_and_forecasts_are_about_right(clouds):
@@ -95,47 +95,34 @@ def test_rows_of_other_presets_stay_in_the_suites_file(tmp_path, suite):
     old = [{"preset": name, "policy": policy} for name, policy in (("a", "x"), ("b", "x"), ("b", "y"), ("c", "x"))]
     file.write_text(json.dumps(head | {"rows": old}))
     assert suite.with_others(file, head, mine) == [old[0], mine[0], old[3]]
-    with pytest.raises(ValueError, match="rows of another suite: 'v1', not 'v2'"):
-        suite.with_others(file, head | {"suite": "v2"}, mine)
+    with pytest.raises(ValueError, match="rows of another suite: 'v1', not 'v3'"):
+        suite.with_others(file, head | {"suite": "v3"}, mine)
 
 
 def test_references_count_the_gain_of_planners_in_the_episodes_that_they_play(suite):
     def row(*returns):
         return {"returns": list(returns), "return": {"mean": sum(returns) / len(returns)}}
 
-    rest = [0.0] * 61
+    rest = [0.0] * 253
     rows = {"random": row(0.0, 0.0, 0.0, *rest), "hasty": row(3.0, 2.0, 4.0, *rest), "plan:rollout": row(5.0, 4.1, 5.9)}
-    head = {"suite": "v2", "bsk_torch": "0.3.0"}
-    found = suite.references(head, {"few_choices": rows, "few_clouded": {"hasty": rows["hasty"]}})
-    assert found.keys() == {"few_choices"}  # random actions have not played the other task
-    assert found["few_choices"]["high"]["return"] == pytest.approx(9.0 / 64 + 2.0)
-    assert found["few_choices"]["high"]["source"] == "plan:rollout, bsk_torch 0.3.0, gain over hasty in 3 episodes"
+    head = {"suite": "v3", "bsk_torch": "0.3.0"}
+    found = suite.references(head, {"sites": rows, "sites_convex": {"hasty": rows["hasty"]}})
+    assert found.keys() == {"sites"}  # random actions have not played the other task
+    assert found["sites"]["high"]["return"] == pytest.approx(9.0 / 256 + 2.0)
+    assert found["sites"]["high"]["source"] == "plan:rollout, bsk_torch 0.3.0, gain over hasty in 3 episodes"
     unsure = rows | {"plan:rollout": row(3.5, 1.0, 4.5)}
-    assert suite.references(head, {"few_choices": unsure})["few_choices"]["high"]["source"] == "hasty, bsk_torch 0.3.0"
+    assert suite.references(head, {"sites": unsure})["sites"]["high"]["source"] == "hasty, bsk_torch 0.3.0"
 
 
-def test_shares_of_head_room_are_paired(headroom):
-    def row(policy, kind, *returns):
-        mean = sum(returns) / len(returns)
-        common = {"candidate": "few_choices", "preset": "AEOS-v1", "half": 0.1}
-        return common | {"policy": policy, "kind": kind, "episodes": len(returns), "return": mean, "returns": list(returns)}
-
-    rules = [
-        row("random", "random", 0.0, 1.0, 0.0, 9.0),
-        row("hasty", "rule", 6.0, 7.0, 6.1, 9.0),
-        row("greedy", "rule", 1.0, 1.0, 1.0, 9.0),
-    ]
-    found = headroom.share_of([*rules, row("plan:rollout", "planner", 10.0, 11.0, 10.0)])
-    assert (found["rule"], found["best"], found["episodes"]) == ("hasty", "plan:rollout", 3)
-    assert found["gain"] == pytest.approx((4.0 + 4.0 + 3.9) / 3)  # in the episodes of the planner
-    assert found["share"] == pytest.approx((4.0 + 4.0 + 3.9) / 30.0)
-    assert found["share_low"] <= found["share"] <= found["share_high"]
-    assert found["admitted"]
-    assert found["task"]
-    worse = headroom.share_of([*rules, row("slow", "policy", 5.0, 5.0, 5.0, 9.0)])
-    assert worse["share"] < 0.0
-    assert not worse["admitted"]
-    assert headroom.merged(None, [found]) == [found]
+def test_published_runs_of_a_seed_are_one_policy_and_keep_their_cost(suite):
+    row = {"returns": [1.0, 1 / 3], "training": {"decisions": 9}, "survival": 1.0}
+    results = {"sites": {"runs/sites/seed_0": row, "commit": row}, "areas": {"runs/areas/seed_0": row}}
+    content = suite.public({"suite": "v3"}, results, ["ppo=ppo/seed_*"])
+    kept = {"returns": [1.0, 0.3333333], "training": {"decisions": 9}}
+    assert content["methods"] == {"ppo": ["ppo/seed_0"]}
+    assert content["policies"] == {"ppo/seed_0": {"sites": kept, "areas": kept}, "commit": {"sites": kept}}
+    with pytest.raises(ValueError, match="two runs of the same seed in areas"):
+        suite.public({}, {"areas": {"runs/areas/seed_0": row, "runs/areas_revisit/seed_0": row}}, [])
 
 
 def test_planners_of_several_runs_are_joined(sites):

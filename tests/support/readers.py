@@ -167,7 +167,7 @@ SUMMARY = {
     "gain": {"x": ESTIMATE},
 }
 PLAYED = SUMMARY | {"returns": [0.1, 0.2], "seconds_per_decision": 0.1, "score": ESTIMATE}
-RESULTS = {"format": 1, "suite": "v2", "policies": {"random": {"dim_scan": PLAYED}}}
+RESULTS = {"format": 1, "suite": "v3", "policies": {"random": {"areas": PLAYED}}}
 
 REQUESTS = {
     "json": b'{"requests": [{"id": "a", "latitude": 1.5, "longitude": 2, "due": 600, "sensors": ["visible"]}]}',

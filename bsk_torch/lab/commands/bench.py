@@ -86,7 +86,7 @@ def bench(
         bsk-torch bench pretrained hasty --presets AEOS-v1 --episodes 64
         bsk-torch bench plan:rollout,base=hasty,horizon=240 --out results.json
         bsk-torch bench my_package.policies:enter
-        bsk-torch bench hasty farsighted --suite v2 --presets few_choices
+        bsk-torch bench hasty commit --suite v3 --presets sites
         bsk-torch bench nearest_task soonest_task --suite aeosbench
     """
     from bsk_torch.codegen.inductor import BACKENDS

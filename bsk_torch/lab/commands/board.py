@@ -37,6 +37,7 @@ class Board:
         scores: Scores of each method, [R, T].
         replicates: Resampled scores of each method, [B, R, T].
         tasks: Names of the tasks.
+        families: Columns of the tasks of each family; of all tasks under the name "" in suites without families.
         against: Method with which the others are compared.
         flights: Episodes repeated on Basilisk by method: those that are the same, and all.
         libraries: Libraries that made the policies of each method, with their versions.
@@ -47,19 +48,31 @@ class Board:
     scores: Mapping[str, Tensor]
     replicates: Mapping[str, Tensor]
     tasks: Sequence[str]
+    families: Mapping[str, list[int]]
     against: str
     flights: Mapping[str, tuple[int, int]]
     libraries: Mapping[str, list[str]]
     budgets: Mapping[str, dict[str, Any] | None]
 
     def measures(self, method: str) -> dict[str, Interval]:
-        """Return the aggregates of a method, and the probability that it is better than ``against``, with their intervals."""
-        value, drawn = self.scores[method], self.replicates[method]
-        values = {name: interval(measure(value), measure(drawn)) for name, measure in AGGREGATES.items()}
+        """Return the aggregates of a method, and the probability that it is better than ``against``, with their intervals.
+
+        In suites with families, the aggregates are the interquartile means of these, such as ``IQM sites``.
+        """
+        values = {
+            f"{name} {family}".rstrip(): self.over(method, name, columns)
+            for family, columns in self.families.items()
+            for name in (["IQM"] if family else AGGREGATES)
+        }
         if method != self.against:
-            better = improvement(value, self.scores[self.against])
-            values["better"] = interval(better, improvement(drawn, self.replicates[self.against]))
+            better = improvement(self.scores[method], self.scores[self.against])
+            values["better"] = interval(better, improvement(self.replicates[method], self.replicates[self.against]))
         return values
+
+    def over(self, method: str, aggregate: str, columns: list[int]) -> Interval:
+        """Return one of the :data:`~bsk_torch.lab.suites.aggregates.AGGREGATES` of a method over some tasks."""
+        measure = AGGREGATES[aggregate]
+        return interval(measure(self.scores[method][:, columns]), measure(self.replicates[method][..., columns]))
 
     def profiles(self) -> tuple[Tensor, dict[str, tuple[Tensor, Tensor, Tensor]]]:
         """Return thresholds [K], and for each method its performance profile with the ends of the interval, [K] each."""
@@ -77,12 +90,13 @@ def board_of(
     results: Mapping[str, Mapping[str, Returns]],
     methods: Mapping[str, Sequence[str]],
     suite: str,
-    titles: Sequence[str],
+    titles: Mapping[str, str],
     against: str | None,
 ) -> Board:
-    """Return the methods in the tasks ``titles`` that all of them play; ends the program without one or for another ``against``.
+    """Return the methods in the tasks that all of them play; ends the program without one or for another ``against``.
 
-    In each task, policies that played fewer episodes than another policy of a method, such as planners, are left out.
+    ``titles`` has the families of tasks by name. In each task, policies that played fewer episodes than another policy of a
+    method, such as planners, are left out.
     """
     members = {policy for policies in methods.values() for policy in policies}
     rows = {task: {policy: results[policy][task] for policy in members if task in results[policy]} for task in titles}
@@ -101,12 +115,21 @@ def board_of(
     with refusing():
         replicates = with_references(bootstrap(runs), [references(suite)[task] for task in tasks])
     scores = {name: run_scores(one) for name, one in runs.items()}
-    best = max(scores, key=lambda name: float(AGGREGATES["IQM"](scores[name])))
+    families: dict[str, list[int]] = {}
+    for column, task in enumerate(tasks):
+        families.setdefault(titles[task], []).append(column)
+    best = ranked(scores, families)[0]
     played = {name: [rows[task][one] for task in tasks for one in group if one in rows[task]] for name, group in methods.items()}
     flights = {name: flights_of(entries) for name, entries in played.items()}
     libraries = {name: sorted({row["library"] for row in entries if "library" in row}) for name, entries in played.items()}
     budgets = {name: budget_of(entries) for name, entries in played.items()}
-    return Board(suite, scores, replicates, tasks, against or best, flights, libraries, budgets)
+    return Board(suite, scores, replicates, tasks, families, against or best, flights, libraries, budgets)
+
+
+def ranked(scores: Mapping[str, Tensor], families: Mapping[str, list[int]]) -> list[str]:
+    """Return the methods with ``scores`` [R, T] in descending order of the mean of their families' interquartile means."""
+    middle = AGGREGATES["IQM"]
+    return sorted(scores, key=lambda name: -sum(float(middle(scores[name][:, columns])) for columns in families.values()))
 
 
 def with_references(replicates: Mapping[str, Tensor], scales: Sequence[Mapping[str, Any]]) -> dict[str, Tensor]:

@@ -64,7 +64,7 @@ def entrant_of(name: str, tasks: Sequence[Task] = (), trust: bool = False) -> Na
         chosen = dict(view_of(text, allowed) for text in choices)
         base = dict(text.partition("=")[::2] for text in options).get("base", RULES[0])
         return Named(
-            lambda preset, make: planner_entry(plain, options, chosen, preset, make, trust),
+            lambda preset, make: planner_entry(plain, options, chosen, preset, make, drawn, trust),
             training=entrant_of(base, tasks, trust).training,
         )
     if plain in RULES:
@@ -109,7 +109,7 @@ def outside_entry(policy: NamedPolicy, preset: str, make: Callable[..., Tasking]
         return None
 
 
-def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, object]:
+def views_of(policy: NamedPolicy, drawn: Sequence[str]) -> dict[str, object]:
     """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
     return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
 
@@ -127,11 +127,17 @@ def rule_entry(name: str, views: Mapping[str, object], make: Callable[..., Taski
 
 
 def planner_entry(
-    name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking], trust: bool
+    name: str,
+    options: list[str],
+    views: Mapping[str, object],
+    preset: str,
+    make: Callable[..., Tasking],
+    drawn: Sequence[str],
+    trust: bool,
 ) -> tuple[Tasking, Policy]:
     """Enter a planner, in an environment with ``views`` and those of its base; ends the program where it does not fit."""
     chosen = named_planner(name, preset, options, trust)
-    env = make(**(views_of(chosen) | dict(views)))
+    env = make(**(views_of(chosen, drawn) | dict(views)))
     return env, chosen.actor(env)
 
 

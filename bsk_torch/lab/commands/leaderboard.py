@@ -48,19 +48,20 @@ def leaderboard(
     presets: Annotated[str | None, flag("NAMES", "Only these presets or other tasks of the suite, separated by commas.")] = None,
     against: Annotated[str | None, flag("NAME", "Method with which the others are compared; default: the best.")] = None,
     published_suite: Annotated[
-        str | None, flag("SUITE", "Also compare with the methods published for the suite, such as v2.", "--published")
+        str | None, flag("SUITE", "Also compare with the methods published for the suite, such as v3.", "--published")
     ] = None,
     draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the performance profiles.")] = None,
     out: JsonFile = None,
 ) -> None:
     """Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).
 
-    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks; the optimality gap is how far
-    scores are below 1 on average. "better than" is the probability that a run scores higher than a run of the other method.
+    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks, where tasks have families of
+    each family; the optimality gap is how far scores are below 1 on average. "better than" is the probability that a run scores
+    higher than a run of the other method.
 
     Examples:
         bsk-torch leaderboard bench.json --draw profiles.png
-        bsk-torch leaderboard bench.json --published v2
+        bsk-torch leaderboard bench.json --published v3
         bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
     """
     with working("starting"):
@@ -75,10 +76,10 @@ def leaderboard(
         fail("no results: name a file of bsk-torch bench, or a suite with --published")
     suite = published_suite or read_result(files[0], Results)[0][1]
     with refusing():
-        tasks = [task.title for task in tasks_of(suite, presets)]
+        tasks = {task.title: task.family for task in tasks_of(suite, presets)}
         reference = published(suite) if published_suite else {"policies": {}, "methods": {}}
     if not references(suite):
-        fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
+        fail(f"the suite {suite} has no references, so that its results have no scores that could be aggregated")
     entries, results = read_earlier(files, suite, Results), dict[str, dict[str, Returns]]()
     if files and not entries:
         fail(f"{', '.join(map(str, files))} has no policies")
@@ -121,23 +122,23 @@ def methods_of(results: Mapping[str, Mapping[str, object]], texts: Sequence[str]
 
 
 def print_board(board: Board) -> None:
-    """Print a row for each method, the best interquartile mean first."""
-    from bsk_torch.lab.suites.aggregates import AGGREGATES
+    """Print a row for each method, the best interquartile mean first, or the best mean of those of families."""
+    from bsk_torch.lab.commands.board import ranked
 
-    measures = {name: board.measures(name) for name in board.scores}
     table, better = [], f"better than {board.against}"
-    for name in sorted(measures, key=lambda name: -measures[name]["IQM"].value):
+    for name in ranked(board.scores, board.families):
         equal, repeated = board.flights[name]
-        values = measures[name]
+        cells = {measure: interval_text(value) for measure, value in board.measures(name).items()}
+        compared = {better: cells.pop("better", "")}
         table.append(
             {"method": name, "runs": str(len(board.scores[name]))}
-            | {measure: interval_text(values[measure]) for measure in AGGREGATES}
-            | {better: interval_text(values["better"]) if "better" in values else ""}
+            | cells
+            | compared
             | budget_cells(board.budgets[name])
             | {"same on Basilisk": f"{equal} of {repeated}" if repeated else "", "library": ", ".join(board.libraries[name])}
         )
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
-    expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better)
+    expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better, "decisions")
     print_table(table, title, expendable, left=("method", "library", "track"))
     print_message(
         "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes, and of the references where these have "
@@ -165,14 +166,17 @@ def interval_text(interval: Interval) -> str:
 
 def document(board: Board) -> dict[str, object]:
     """Return the content of the JSON file."""
-    methods: dict[str, dict[str, object]] = {
-        name: {
-            **{measure: interval._asdict() for measure, interval in board.measures(name).items()},
+    methods: dict[str, dict[str, object]] = {}
+    for name, scores in board.scores.items():
+        measures: dict[str, Any] = {measure: interval._asdict() for measure, interval in board.measures(name).items()}
+        if "" not in board.families:
+            measures["families"] = {family: measures.pop(f"IQM {family}") for family in board.families}
+            measures["tasks"] = {task: board.over(name, "mean", [k])._asdict() for k, task in enumerate(board.tasks)}
+        methods[name] = {
+            **measures,
             "library": board.libraries[name],
             "training": board.budgets[name],
             "scores": scores.tolist(),
             "basilisk": dict(zip(("same", "episodes"), board.flights[name], strict=True)),
         }
-        for name, scores in board.scores.items()
-    }
     return {"suite": board.suite, "tasks": list(board.tasks), "against": board.against, "methods": methods}

@@ -2,7 +2,7 @@
 
 A suite is a table of tasks. A task is a preset with its options, the seeds of its episodes, and perhaps measures for a score.
 Tasks never change: a suite with another task, or a preset with a changed decision process, gets a new name. The tasks of ``v1``
-are presets; those of ``v2`` are harder ones, in each of which a planner or policy is well ahead of all rules.
+are presets; those of ``v3`` are variants of presets in which planners are well ahead of all rules, in families.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ class Task:
         rules: Views of rules that are not those of the preset, by the name of the rule.
         drawn: Options of trainings that the task replaces: they tell which scenarios are drawn, and policies may differ in them.
         about: Which scenarios the episodes are.
+        family: Tasks of a family are variants of one another, and their scores are aggregated apart from those of other families.
     """
 
     preset: str
@@ -83,6 +84,7 @@ class Task:
     rules: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     drawn: tuple[str, ...] = ("time_limit",)
     about: str = ""
+    family: str = ""
 
     @property
     def title(self) -> str:
@@ -165,66 +167,38 @@ SUITES["aeosbench"] = (
     ),
 )
 
-HALF_AN_ORBIT = 2850.0
-"""Unit of the time limits of the suite ``v2``, s."""
+SITES = partial(Task, "Sites-v1", at_once=256, episodes=256, drawn=("time_limit", "gain", "risk"), family="sites")
+AREAS = partial(Task, "Areas-v1", at_once=256, episodes=256, drawn=("time_limit", "revisit"), family="areas")
+"""What the tasks of a family of the suite ``v3`` share."""
 
-
-def harder(number: int, preset: str, name: str, about: str, **options: object) -> Task:
-    """Return task ``number`` of the suite ``v2``: 64 episodes of a preset with other ``options``; policies may choose views."""
-    drawn = tuple(dict.fromkeys((*(option for option in options if option not in VIEWS), "time_limit")))
-    return Task(preset, SUITE_SEEDS[EPISODES * (18 + number)], 64, options, name, 64, drawn=drawn, about=about)
-
-
-SUITES["v2"] = (
-    harder(
-        0,
-        "NadirScan-v1",
-        "dim_scan",
-        "NadirScan-v1 with 0.6 of the panel and 0.24 of the data rate of downlinks; a death costs nothing but the time after it",
-        sat_args={"panelArea": 0.15, "transmitterBaudRate": -12 * 8e6},
-        failure_penalty=0.0,
+SUITES["v3"] = (  # seeds from EPISODES * 18 to 22 stay unused: they were those of the suite v2, which is withdrawn
+    SITES(
+        SUITE_SEEDS[EPISODES * 23],
+        name="sites",
+        about="Sites-v1: sites pay when they are complete, under weather with a forecast",
     ),
-    harder(
-        1,
-        "AEOS-v1",
-        "few_choices",
-        "half an orbit of AEOS-v1 with 10,000 targets, of which a satellite chooses among the four whose windows close next",
-        n_targets=10_000,
-        n_ahead=4,
-        time_limit=HALF_AN_ORBIT,
+    SITES(
+        SUITE_SEEDS[EPISODES * 24],
+        options={"gain": "convex"},
+        name="sites_convex",
+        about="Sites-v1 in which parts of sites pay, too, under weather with a forecast",
     ),
-    harder(
-        2,
-        "CloudyAEOS-v1",
-        "few_clouded",
-        "half an orbit of CloudyAEOS-v1 with 5,000 targets, of which a satellite chooses among the four whose windows close next",
-        n_targets=5000,
-        n_ahead=4,
-        time_limit=HALF_AN_ORBIT,
+    SITES(
+        SUITE_SEEDS[EPISODES * 25],
+        options={"gain": "convex", "risk": 0.0},
+        name="sites_clear",
+        about="Sites-v1 in which parts of sites pay, too, without weather",
     ),
-    harder(
-        3,
-        "AEOSConstellation-v1",
-        "few_shared",
-        "half an orbit of AEOSConstellation-v1 with 10,000 targets, of which each of the three satellites chooses among the four "
-        "whose windows close next",
-        n_targets=10_000,
-        n_ahead=4,
-        time_limit=HALF_AN_ORBIT,
-    ),
-    harder(
-        4,
-        "RSOInspection-v1",
-        "hurried_inspection",
-        "RSOInspection-v1 in 1.5 orbits instead of ten, by waypoints unless a policy chooses thrust",
-        actions="waypoints",
-        time_limit=3.0 * HALF_AN_ORBIT,
+    AREAS(SUITE_SEEDS[EPISODES * 26], name="areas", about="Areas-v1: cells pay once"),
+    AREAS(
+        SUITE_SEEDS[EPISODES * 27],
+        options={"revisit": 5700.0},
+        name="areas_revisit",
+        about="Areas-v1 in which recorded cells pay again, in proportion to the time since, up to one revolution",
     ),
 )
 
 REMARKS = {
-    "v2": "This suite is withdrawn: four of its tasks have head-room because choices are hidden, clouds are known to the "
-    "planner, or deaths cost nothing. Its page, docs/studies/suite.md, has the reasons.",
     "aeosbench": "Satellites come from a pool of this package, selected by a filter like that of the benchmark; none of the "
     "random scenarios is in its data set. Rows of the same task can be compared with one another, but not with numbers of the "
     "paper: these are means over 64 scenarios of each split, on another Basilisk. Give its own scenarios with --folder.",
@@ -258,6 +232,8 @@ def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
     Raises:
         ValueError: For an unknown suite or task; the message contains the nearest name.
     """
+    if suite == "v2":
+        raise ValueError("suite='v2' is withdrawn for the reasons in docs/studies/suite.md; use 'v3'")
     if suite not in SUITES:
         raise ValueError(f"suite={suite!r} is not a suite; {nearest(suite, SUITES)}")
     tasks = {task.title: task for task in SUITES[suite]}
@@ -352,7 +328,7 @@ def play(task: Task, entrant: Entrant, episodes: int | None = None, **options: o
 def references(suite: str) -> dict[str, dict[str, Any]]:
     """Return the reference returns of a suite by task: ``low`` and ``high``, each with its mean and its source.
 
-    ``low`` is the random policy, and ``high`` the best of the package's rules, policies and, in ``v2``, planners when the suite
+    ``low`` is the random policy, and ``high`` the best of the package's rules, policies and, in ``v3``, planners when the suite
     was created. They are means over all episodes, of planners estimated from their gains in the first ones, and are as fixed as
     the episodes; such an estimate may have the ``half_width`` of its 95 % interval. Suites whose tasks have measures have no
     references, nor have those whose references are not computed yet.
@@ -374,10 +350,10 @@ def published(suite: str) -> dict[str, Any]:
     Raises:
         ValueError: If the suite has no published results.
     """
-    have = sorted(path.stem for path in PUBLISHED.glob("*.json"))
-    if suite not in have:
-        raise ValueError(f"suite={suite!r} has no published results; {nearest(suite, have)}")
-    return json.loads((PUBLISHED / f"{suite}.json").read_text())
+    file = PUBLISHED / f"{suite}.json"
+    if not file.exists():
+        raise ValueError(f"suite={suite!r} has no published results")
+    return json.loads(file.read_text())
 
 
 def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate:

@@ -4,7 +4,9 @@ import json
 
 import pytest
 
-from bsk_torch.lab.suites.suite import references
+from bsk_torch.presets import make
+from bsk_torch.rl.networks.plans import PLANS
+from bsk_torch.rl.policies.files import save_policy
 from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 
 pytestmark = pytest.mark.compiled
@@ -215,18 +217,32 @@ def test_a_suite_with_measures_shows_them(run, tmp_path):
         assert "score" not in row
 
 
-def test_the_policy_of_a_preset_plays_harder_tasks_also_with_fewer_choices(run, tmp_path):
-    out = tmp_path / "bench.json"
-    tasks = "few_choices,dim_scan"
-    result = run("bench", "pretrained", "random", "--suite", "v2", "--presets", tasks, "--episodes", "1", "--out", out)
+def test_the_policy_of_a_preset_plays_its_variants(run, tmp_path, monkeypatch):
+    out, low, high = tmp_path / "bench.json", -0.5, 7.5
+    known = {"areas_revisit": {"low": {"return": low}, "high": {"return": high}}}
+    monkeypatch.setattr("bsk_torch.lab.suites.suite.references", lambda suite: known)
+    short = ("--suite", "v3", "--presets", "areas_revisit", "--episodes", "1")
+    result = run("bench", "pretrained", "random", "commit", *short, "--out", out)
+    assert result.exit_code == 1
+    assert "no preset among areas_revisit fits commit" in result.output
+    assert "recorded cells pay again" in " ".join(result.output.split())
+    kept = json.loads(out.read_text())["policies"]
+    assert kept["pretrained"].keys() == kept["random"].keys() == {"areas_revisit"}
+    row = kept["pretrained"]["areas_revisit"]
+    assert row["score"]["mean"] == pytest.approx((row["returns"][0] - low) / (high - low))
+
+
+def test_policies_play_the_tasks_of_a_family_whatever_variant_they_were_trained_in(run, tmp_path):
+    out, policy, options = tmp_path / "bench.json", tmp_path / "policy.pt", {"as_set": True, "gain": "convex"}
+    env = make("Sites-v1", num_envs=1, backend="eager", **options)
+    plan = PLANS["attention"].of(env, (32,))
+    save_policy(policy, plan, plan.build(), "Sites-v1", options)
+    planner = f"plan:rollout,base={policy},budget=2,horizon=30"
+    result = run("bench", policy, planner, "--suite", "v3", "--presets", "sites_clear", "--episodes", "1", "--out", out)
     assert result.exit_code == 0, result.output
     kept = json.loads(out.read_text())["policies"]
-    assert list(kept) == ["pretrained", "random"]
-    assert sorted(kept["pretrained"]) == sorted(kept["random"]) == ["dim_scan", "few_choices"]
-    low, high = (references("v2")["dim_scan"][end]["return"] for end in ("low", "high"))
-    row = kept["random"]["dim_scan"]
-    assert row["score"]["mean"] == pytest.approx((row["returns"][0] - low) / (high - low))
-    assert "half an orbit of AEOS-v1 with 10,000 targets" in " ".join(result.output.split())
+    assert kept[str(policy)].keys() == {"sites_clear"}
+    assert kept[planner]["sites_clear"]["simulated_per_decision"] > 30.0
 
 
 def test_planners_say_what_they_simulate(run, tmp_path):
@@ -242,12 +258,11 @@ def test_planners_say_what_they_simulate(run, tmp_path):
 
 
 def test_planners_choose_a_view(run, tmp_path):
-    out, name = tmp_path / "bench.json", "plan:rollout,base=survey,budget=2,horizon=600"
-    short = ("--suite", "v2", "--presets", "hurried_inspection", "--episodes", "1")
-    result = run("bench", name, *short, "--out", out)
+    out, name = tmp_path / "bench.json", "plan:rollout,base=commit,budget=2,horizon=30,as_set=true"
+    result = run("bench", name, "--suite", "v3", "--presets", "sites", "--episodes", "1", "--out", out)
     assert result.exit_code == 0, result.output
-    assert json.loads(out.read_text())["policies"][name]["hurried_inspection"]["simulated_per_decision"] > 600.0
-    wrong = run("bench", f"{name},actions=thrust", *short)
+    assert json.loads(out.read_text())["policies"][name]["sites"]["simulated_per_decision"] > 30.0
+    wrong = run("bench", "plan:rollout,base=survey,actions=thrust", "--presets", "RSOInspection-v1", "--episodes", "1")
     assert wrong.exit_code == 1
     assert "use 'cem'" in wrong.output
 

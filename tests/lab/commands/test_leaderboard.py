@@ -5,6 +5,7 @@ import json
 import pytest
 import torch
 
+from bsk_torch.lab.commands import board as board_module
 from bsk_torch.lab.commands.board import with_references
 from bsk_torch.lab.suites import suite as suites
 from bsk_torch.lab.suites.suite import PUBLISHED, references, tasks_of
@@ -165,22 +166,51 @@ def test_wrong_use_of_published_results(run, board, public):
     assert "name a file of bsk-torch bench, or a suite with --published" in run("leaderboard").output
     result = run("leaderboard", board, "--published", "v1", "--method", "ppo=hasty")
     assert "'ppo' is a method of the published results" in result.output
-    assert "suite='v2' has no published results; did you mean 'v1'?" in run("leaderboard", "--published", "v2").output
+    assert "suite='aeosbench' has no published results" in run("leaderboard", "--published", "aeosbench").output
+    assert "suite='v2' is withdrawn" in run("leaderboard", "--published", "v2").output
     assert "suite='v9' is not a suite" in run("leaderboard", "--published", "v9").output
 
 
-@pytest.mark.parametrize("path", sorted(PUBLISHED.glob("*.json")), ids=lambda path: path.stem)
-def test_published_results_are_whole(path):
-    kept, tasks = json.loads(path.read_text()), tasks_of(path.stem)
-    assert kept["methods"]
-    for name, policies in kept["methods"].items():
+def test_published_results_are_whole():
+    for path in PUBLISHED.glob("*.json"):
+        kept, tasks = json.loads(path.read_text()), tasks_of(path.stem)
+        assert kept["methods"]
+        for name, policies in kept["methods"].items():
+            for task in tasks:
+                rows = [kept["policies"][policy][task.title] for policy in policies if task.title in kept["policies"][policy]]
+                assert rows, (name, task.title)
+                assert {len(row["returns"]) for row in rows} == {task.episodes}
         for task in tasks:
-            rows = [kept["policies"][policy][task.title] for policy in policies if task.title in kept["policies"][policy]]
-            assert rows, (name, task.title)
-            assert {len(row["returns"]) for row in rows} == {task.episodes}
-    for task in tasks:
-        low = sum(kept["policies"]["random"][task.title]["returns"]) / task.episodes
-        assert low == pytest.approx(references(path.stem)[task.title]["low"]["return"], rel=1e-6)
+            low = sum(kept["policies"]["random"][task.title]["returns"]) / task.episodes
+            assert low == pytest.approx(references(path.stem)[task.title]["low"]["return"], rel=1e-6)
+
+
+def test_families_have_a_mean_each_and_count_the_same(run, tmp_path, monkeypatch):
+    known = {task.title: {"low": {"return": 0.0}, "high": {"return": 2.0}} for task in tasks_of("v3")}
+    for module in (suites, board_module):
+        monkeypatch.setattr(module, "references", lambda suite: known)
+    monkeypatch.setenv("COLUMNS", "80")
+    scores = {"all": (0.4, 0.6, 0.8, 0.1, 0.3), "areas": (0.1, 0.1, 0.1, 0.9, 0.9)}
+    policies = {
+        name: {task: {"returns": [1.9 * score, 2.1 * score]} for task, score in zip(known, values, strict=True)}
+        for name, values in scores.items()
+    }
+    path, out = tmp_path / "bench.json", tmp_path / "out.json"
+    path.write_text(json.dumps({"format": 1, "suite": "v3", "policies": policies}))
+    result = run("leaderboard", path, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.output.index("\n areas ") < result.output.index("\n all ")  # although the mean over all tasks is lower
+    assert all(name in result.output for name in ("IQM sites", "IQM areas", "0.900 ["))
+    kept = json.loads(out.read_text())
+    assert kept["against"] == "areas"
+    one = kept["methods"]["all"]
+    assert not {"IQM", "mean", "optimality gap"} & one.keys()
+    assert {name: row["value"] for name, row in one["families"].items()} == pytest.approx({"sites": 0.6, "areas": 0.2})
+    assert [row["value"] for row in one["tasks"].values()] == pytest.approx(list(scores["all"]))
+    assert one["tasks"]["sites"]["low"] < 0.4 < one["tasks"]["sites"]["high"]
+    assert one["families"]["areas"]["low"] < 0.2 < one["families"]["areas"]["high"]
+    result = run("leaderboard", path, "--presets", "areas,sites", "--method", "one=all")
+    assert "suite v3, 2 tasks: areas, sites" in result.output
 
 
 @pytest.mark.parametrize(
@@ -200,12 +230,12 @@ def test_wrong_arguments_say_what_is_allowed(run, board, arguments, message):
     assert message in " ".join(result.output.split())
 
 
-def test_suites_with_measures_are_refused(run, tmp_path):
+def test_suites_without_references_are_refused(run, tmp_path):
     path = tmp_path / "aeos.json"
     path.write_text(json.dumps({"format": 1, "suite": "aeosbench", "policies": {}}))
     result = run("leaderboard", path)
     assert result.exit_code == 1
-    assert "the tasks of the suite aeosbench have measures, not scores" in " ".join(result.output.split())
+    assert "the suite aeosbench has no references, so that its results have no scores" in " ".join(result.output.split())
     path.write_text(json.dumps({"format": 1, "suite": "v0", "policies": {}}))
     assert "suite='v0' is not a suite" in run("leaderboard", path).output
     path.write_text(json.dumps({"format": 1, "suite": "v1", "policies": {}}))

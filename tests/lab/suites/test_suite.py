@@ -53,40 +53,34 @@ def test_frozen_seeds_stay_and_are_in_the_suite_once():
     }
 
 
-def test_the_second_suite_is_frozen():
-    # its published scores are of these episodes, whose seeds no other suite has
-    tasks = SUITES["v2"]
-    assert {task.title: (task.preset, task.first_seed - 2**60, task.episodes) for task in tasks} == {
-        "dim_scan": ("NadirScan-v1", 18 * 1024, 64),
-        "few_choices": ("AEOS-v1", 19 * 1024, 64),
-        "few_clouded": ("CloudyAEOS-v1", 20 * 1024, 64),
-        "few_shared": ("AEOSConstellation-v1", 21 * 1024, 64),
-        "hurried_inspection": ("RSOInspection-v1", 22 * 1024, 64),
+def test_the_third_suite_is_frozen():
+    # its published scores are of these episodes, whose seeds no other suite has, nor had the suite v2, which is withdrawn
+    tasks = SUITES["v3"]
+    assert {task.title: (task.family, task.preset, task.first_seed - 2**60, task.episodes) for task in tasks} == {
+        "sites": ("sites", "Sites-v1", 23 * 1024, 256),
+        "sites_convex": ("sites", "Sites-v1", 24 * 1024, 256),
+        "sites_clear": ("sites", "Sites-v1", 25 * 1024, 256),
+        "areas": ("areas", "Areas-v1", 26 * 1024, 256),
+        "areas_revisit": ("areas", "Areas-v1", 27 * 1024, 256),
     }
+    assert [dict(task.options) for task in tasks] == [
+        {},
+        {"gain": "convex"},
+        {"gain": "convex", "risk": 0.0},
+        {},
+        {"revisit": 5700.0},
+    ]
     mine = {seed for task in tasks for seed in task.seeds()}
-    assert not mine & {seed for name in set(SUITES) - {"v2"} for task in SUITES[name] for seed in task.seeds()}
-    assert mine <= set(SUITE_SEEDS[18 * 1024 : 23 * 1024])
-    known = references("v2")
-    assert known.keys() == {task.title for task in tasks}
+    others = {seed for name in set(SUITES) - {"v3"} for task in SUITES[name] for seed in task.seeds()}
+    assert not mine & (others | set(SUITE_SEEDS[18 * 1024 : 23 * 1024]))
+    known = references("v3")
+    assert known.keys() in (set(), {task.title for task in tasks})
     assert all(one["low"]["return"] < one["high"]["return"] for one in known.values())
 
 
-@pytest.mark.compiled
-def test_a_harder_task_replaces_options_of_trainings():
-    task = tasks_of("v2", "few_choices")[0]
-    env = task.environment(1)
-    assert env.satellite.action_description == [f"action_image_{k}" for k in range(4)]
-    assert {"n_targets", "n_ahead", "time_limit"} == set(task.drawn)
-    check_refusals(refusal(lambda: task.environment(1, n_ahead=5), ValueError, "n_ahead=5", "few_choices"))
-
-
-@pytest.mark.compiled
-def test_policies_choose_views_of_a_harder_task():
-    task = tasks_of("v2", "hurried_inspection")[0]
-    assert task.drawn == ("time_limit",)  # trained policies keep their actions
-    by_waypoints, by_thrust = task.environment(1), task.environment(1, actions="thrust")
-    assert "action_mask" in by_waypoints.reset()["waypoint_inspector"]
-    assert by_thrust.action_spec["inspector", "action"].shape == (1, 1, 4)
+def test_tasks_of_a_family_refuse_options_that_are_no_views():
+    task = tasks_of("v3", "sites_clear")[0]
+    check_refusals(refusal(lambda: task.environment(1, n_sites=5), ValueError, "n_sites=5", "sites_clear"))
 
 
 def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
@@ -169,7 +163,8 @@ def test_functions_may_be_policies_and_others_get_no_score():
 
 def test_unknown_suites_and_presets_name_the_nearest():
     check_refusals(
-        refusal(lambda: tasks_of("v3"), ValueError, "suite='v3'"),
+        refusal(lambda: tasks_of("v9"), ValueError, "suite='v9'"),
+        refusal(lambda: tasks_of("v2"), ValueError, "suite='v2' is withdrawn", "use 'v3'"),
         refusal(lambda: tasks_of("v1", "NadirScan-v1,AEOS-v2"), ValueError, "'AEOS-v2'", "'AEOS-v1'"),
     )
     assert [task.preset for task in tasks_of("v1", "AEOS-v1,NadirScan-v1,AEOS-v1")] == ["AEOS-v1", "NadirScan-v1"]
