@@ -168,7 +168,9 @@ SUITES["aeosbench"] = (
 )
 
 SITES = partial(Task, "Sites-v1", at_once=256, episodes=256, drawn=("time_limit", "gain", "risk"), family="sites")
-AREAS = partial(Task, "Areas-v1", at_once=256, episodes=256, drawn=("time_limit", "revisit"), family="areas")
+AREAS = partial(
+    Task, "Areas-v1", at_once=256, episodes=256, drawn=("time_limit", "revisit", "sat_args", "failure_penalty"), family="areas"
+)
 """What the tasks of a family of the suite ``v3`` share."""
 
 SUITES["v3"] = (  # seeds from EPISODES * 18 to 22 stay unused: they were those of the suite v2, which is withdrawn
@@ -195,6 +197,15 @@ SUITES["v3"] = (  # seeds from EPISODES * 18 to 22 stay unused: they were those 
         options={"revisit": 5700.0},
         name="areas_revisit",
         about="Areas-v1 in which recorded cells pay again, in proportion to the time since, up to one revolution",
+    ),
+    AREAS(
+        SUITE_SEEDS[EPISODES * 28],
+        options={
+            "revisit": 5700.0,
+            "sat_args": {"panelArea": 0.15, "storageInit": 8e9, "transmitterBaudRate": -1.6e8},
+        },
+        name="areas_scarce",
+        about="areas_revisit with a smaller panel, two thirds of the rate of downlinks, and a store that begins 40 % full",
     ),
 )
 

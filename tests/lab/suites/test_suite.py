@@ -62,6 +62,7 @@ def test_the_third_suite_is_frozen():
         "sites_clear": ("sites", "Sites-v1", 25 * 1024, 256),
         "areas": ("areas", "Areas-v1", 26 * 1024, 256),
         "areas_revisit": ("areas", "Areas-v1", 27 * 1024, 256),
+        "areas_scarce": ("areas", "Areas-v1", 28 * 1024, 256),
     }
     assert [dict(task.options) for task in tasks] == [
         {},
@@ -69,6 +70,7 @@ def test_the_third_suite_is_frozen():
         {"gain": "convex", "risk": 0.0},
         {},
         {"revisit": 5700.0},
+        {"revisit": 5700.0, "sat_args": {"panelArea": 0.15, "storageInit": 8e9, "transmitterBaudRate": -1.6e8}},
     ]
     mine = {seed for task in tasks for seed in task.seeds()}
     others = {seed for name in set(SUITES) - {"v3"} for task in SUITES[name] for seed in task.seeds()}
