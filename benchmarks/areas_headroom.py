@@ -1,14 +1,15 @@
 """Head-room of tasks of areas: rules, a rule tuned by search, trained policies, and planners that improve either.
 
 Usage:
-    python benchmarks/areas_headroom.py [--revisit 11400] [--n-areas 100] [--settings 192] [--episodes 256]
-        [--runs FOLDER ...] [--planned 32] [--horizon 3000] [--time-limit 28500] [--out FILE.json]
+    python benchmarks/areas_headroom.py [--task areas_revisit] [--settings 128] [--zooms 4] [--episodes 256]
+        [--runs FOLDER ...] [--planned 32] [--horizon 1200] [--time-limit 28500] [--out FILE.json]
 
-All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired, and
-the share is this gain as a part of the way from random actions to the entrant. ``--settings 0`` takes the tuned thresholds of
-``--out``, or those of the package. ``--runs`` are folders of trainings. Planners fly each of the four actions in copies of the
-episode, followed by the tuned rule or by the first of ``--runs``. Entrants that are measured again replace their rows of
-``--out``.
+Tasks are those of the suite v3. All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over
+the tuned rule are paired, and the share is this gain as a part of the way from random actions to the entrant. The rule is tuned
+by a search in the whole ranges, and by ``--zooms`` others in narrower ones around the best thresholds; ``--settings 0`` takes the
+tuned thresholds of ``--out``, or those of the package. ``--runs`` are folders of trainings. Planners fly each of the four actions
+in copies of the episode, followed by the tuned rule or by the first of ``--runs``. Entrants that are measured again replace their
+rows of ``--out``.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch import SatelliteTasking
 from bsk_torch.lab.planners import Rollout
+from bsk_torch.lab.suites.suite import tasks_of
 from bsk_torch.presets.nadir_scan import ORBIT
 from bsk_torch.rl.rules.baselines import scan_rule
 from bsk_torch.tasks.areas.rules import AreaRule
@@ -46,19 +48,42 @@ RANGES = {
 }
 """Thresholds of the rule, and between which they are tuned."""
 
+NARROWING = 0.5
+"""Width of the ranges of a search, as a part of those of the search before."""
+
 
 def environment(options: argparse.Namespace, episodes: int) -> SatelliteTasking:
     """Return the environment of so many episodes that are named by seeds."""
-    task = {name: getattr(options, name) for name in ("revisit", "n_areas", "time_limit")}
-    env = bsk_torch.make("Areas-v1", num_envs=episodes, env_ids=[0] * episodes, **task)
+    (task,) = tasks_of("v3", options.task)
+    env = bsk_torch.make(
+        "Areas-v1", num_envs=episodes, env_ids=[0] * episodes, **(dict(task.options) | {"time_limit": options.time_limit})
+    )
     assert isinstance(env, SatelliteTasking)
     return env
 
 
+def search(env: SatelliteTasking, settings: int, zooms: int) -> dict[str, Any]:
+    """Return the best thresholds, and what the searches have cost."""
+    rule, ranges, episodes, cpu = AreaRule(), RANGES, 0, 0.0
+    for k in range(zooms + 1):
+        tuning = bsk_torch.tune(rule, env, ranges, settings=settings, seed=k)
+        rule, episodes, cpu = AreaRule(**tuning.thresholds), episodes + tuning.episodes, cpu + tuning.core_seconds
+        print(tuning, flush=True)
+        ranges = {name: around(tuning.thresholds[name], RANGES[name], NARROWING ** (k + 1)) for name in RANGES}
+    return {"thresholds": tuning.thresholds, "episodes": episodes, "core_seconds": cpu}
+
+
+def around(center: float, limits: tuple[float, float], part: float) -> tuple[float, float]:
+    """Return the part of a range around a value in it."""
+    half = 0.5 * part * (limits[1] - limits[0])
+    return max(limits[0], center - half), min(limits[1], center + half)
+
+
 def main() -> None:
     """Measure the entrants and print a table."""
-    parsed = harness.parser(__doc__, settings=192, episodes=256, planned=0, horizon=3000.0, n_areas=100, time_limit=5 * ORBIT)
-    parsed.add_argument("--revisit", type=float, metavar="S", help="time after which a recorded cell pays again, s")
+    parsed = harness.parser(
+        __doc__, task="areas", settings=128, zooms=4, episodes=256, planned=0, horizon=1200.0, time_limit=5 * ORBIT
+    )
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
@@ -70,9 +95,7 @@ def main() -> None:
         "tuning": before.get("tuning", {}),
     }
     if options.settings:
-        tuning = bsk_torch.tune(AreaRule(), env, RANGES, settings=options.settings)
-        results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
-        print(tuning, flush=True)
+        results["tuning"] = search(env, options.settings, options.zooms)
     thresholds = AreaRule(**results["tuning"].get("thresholds", {}))
     chance, _ = play(bsk_torch.rule("random", env), env, FIRST)
     tuned, _ = play(scan_rule(env, 0, thresholds), env, FIRST)

@@ -75,7 +75,7 @@ LISTED: dict[str, Listed] = {
     "Areas-v1": Listed(
         "bsk_torch.tasks.areas.preset:areas",
         ONE,
-        "record 100 areas, cell by cell, with an instrument that fills the store whatever lies below",
+        "record 500 areas, cell by cell, with an instrument that fills the store whatever lies below",
         ("areas", *SCANNING),
     ),
     "AEOS-v1": Listed(

@@ -1,8 +1,8 @@
 """Areas-v1: record areas on the ground, cell by cell, with an instrument that fills the store whatever lies below.
 
-One satellite of :mod:`bsk_torch.presets.nadir_scan`, with more data and a wider swath, flies five orbits over 100 areas, which
-differ between episodes. The store is full after about 21 minutes of recording, so that only areas are worth it, and not all of
-them.
+One satellite of :mod:`bsk_torch.presets.nadir_scan`, with more data, a wider swath, half of the store, two thirds of the panel
+and 0.6 of the rate of downlinks, flies five orbits over 500 areas, which differ between episodes. The store is full after ten
+minutes of recording, so that only areas are worth it, and not all of them.
 
 Observation, 48 numbers: the twelve of NadirScan-v1, and ``areas`` (36), for each of the four areas whose windows close next, see
 :class:`~bsk_torch.tasks.areas.AreaProperties`:
@@ -26,7 +26,7 @@ Termination: as in NadirScan-v1; and at the time limit of 28,500 s, which trunca
 
 Eclipses are observed as in NadirScan-v1.
 
-Random at reset: as in NadirScan-v1; 100 of 1000 round areas with radii of 100 to 400 km between the latitudes of 75 degrees, and
+Random at reset: as in NadirScan-v1; 500 of 1000 round areas with radii of 100 to 400 km between the latitudes of 75 degrees, and
 their weights, uniform in [0, 1). The swath is 300 km wide, a cell about 100 km.
 """
 
@@ -52,8 +52,11 @@ SWATH, CELL = 300e3, 100e3
 STEP = 60.0
 """Duration of an action, s."""
 
+STORE = 2500 * 8e6
+"""Capacity of the data buffer, bit."""
+
 RATE = 4 * 8e6
-"""Data rate of the instrument, bit/s: it fills the store of 5 GB in 1250 s."""
+"""Data rate of the instrument, bit/s: it fills the store in 625 s."""
 
 
 @functools.cache
@@ -73,7 +76,13 @@ class AreaScanner(ScanningSatellite):
 def area_args() -> dict[str, Any]:
     """Return the arguments of the satellite, with distributions for random ones."""
     return scanning_args() | dict(
-        instrumentBaudRate=RATE, imageAttErrorRequirement=0.01, storedCharge_Init=rand.Uniform(0.3 * BATTERY, BATTERY)
+        dataStorageCapacity=STORE,
+        storageInit=rand.Uniform(0.0, 0.8 * STORE),
+        instrumentBaudRate=RATE,
+        transmitterBaudRate=-30 * 8e6,
+        panelArea=0.17,
+        imageAttErrorRequirement=0.01,
+        storedCharge_Init=rand.Uniform(0.3 * BATTERY, BATTERY),
     )
 
 
@@ -81,7 +90,7 @@ def areas(
     *,
     sat_args: dict[str, Any] | None = None,
     obs_type: type = torch.Tensor,
-    n_areas: int = 100,
+    n_areas: int = 500,
     revisit: float | None = None,
     **options: Any,
 ) -> SatelliteTasking:

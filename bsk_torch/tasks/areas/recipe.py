@@ -4,13 +4,16 @@ from __future__ import annotations
 
 AREAS: dict[str, dict[str, object]] = {
     "mlp": dict(
-        num_envs=256,
+        num_envs=512,
         rollout=32,
-        minibatch=1024,
+        minibatch=2048,
+        hidden=(128, 128),
         epochs=6,
         learning_rate=1e-3,
+        gamma=0.99995,
+        lmbda=0.97,
         entropy=0.004,
-        evaluate_every=250_000,
+        evaluate_every=1_000_000,
     )
 }
-"""For scanning areas: with small batches, fewer decisions are needed than with the settings for other scanners."""
+"""For scanning areas; chosen by the trainings of docs/studies/areas.md."""

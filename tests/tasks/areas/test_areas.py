@@ -50,7 +50,7 @@ def test_the_preset_plays():
     torch.testing.assert_close(areas[..., 7:], torch.exp(-areas[..., :2] * (5700.0 / 240.0)), rtol=1e-4, atol=1e-6)
     assert td["action_mask"].all()
     assert make(revisit=600.0).scenario.revisit == 600.0
-    assert env.scenario.memory[RECORDED].shape == (3, 100, max(len(area.share) for area in round_areas()))
+    assert env.scenario.memory[RECORDED].shape == (3, 500, max(len(area.share) for area in round_areas()))
 
 
 def test_thresholds_of_the_rule_can_be_tuned():
