@@ -14,7 +14,7 @@ def suites(name: str) -> str:
     """Return what policies reach in a suite, in a table for each preset."""
     content = load(name)
     most = max(row["episodes"] for row in content["rows"])
-    if any("measures" in row for row in content["rows"]):
+    if any("CR" in row.get("measures", {}) for row in content["rows"]):
         return suite_measures(content["rows"])
     presets: dict[str, list[list[str]]] = {}
     for row in content["rows"]:
