@@ -96,7 +96,7 @@ benchmarks/aeossp_policy.py --folder {flights} --case small --learn small --fram
   compiled: (?s)\| small \| farsighted \| [01]\.\d+ \|.*\| small \| policy \| [01]\.\d+ \|
 benchmarks/sites.py --episodes 4 --settings 4 --planned 2 --horizon 60 --futures 2 --schedules 2 --time-limit 300 --out sites.json
   compiled: commit
-benchmarks/areas_headroom.py --task areas_revisit --episodes 4 --settings 4 --planned 2 --horizon 60 --time-limit 120 --out a.json
+benchmarks/areas_headroom.py --task areas_scarce --episodes 4 --settings 2 --zooms 1 --planned 2 --time-limit 60 --out a.json
   compiled: rollout of areas, tuned
 benchmarks/sites_imitation.py --seeds 0 --rounds 2 --episodes 4 --evaluate 4 --horizon 60 --epochs 1 --hidden 32 --time-limit 300
   compiled: imitation, seed 0
