@@ -177,6 +177,9 @@ def test_schedules_are_printed_in_order():
     printed = CliRunner().invoke(app, ["schedule", "NadirScan-v1"]).output
     assert re.findall(r"^    (\w+) ", printed, re.MULTILINE) == list(NADIR_SCAN)
     assert printed.startswith("Scanner1:\n  environment:\n    earth_pole ")
+    assert printed.endswith("Phases of a step: kernels of rows\n")
+    printed = CliRunner().invoke(app, ["schedule", "AEOS-v1"]).output
+    assert "on tensors, because of actions that are more than a table, but images begin and end by kernels of rows" in printed
     slot = described(Measuring.world_components[0])
     assert slot == ("sun_range", "Distance of the Sun.", "none, runs after ephemeris", "environment")
     result = CliRunner().invoke(app, ["schedule", "NadirScn-v1"])
