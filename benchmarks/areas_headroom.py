@@ -48,9 +48,6 @@ RANGES = {
 }
 """Thresholds of the rule, and between which they are tuned."""
 
-NARROWING = 0.5
-"""Width of the ranges of a search, as a part of those of the search before."""
-
 
 def environment(options: argparse.Namespace, episodes: int) -> SatelliteTasking:
     """Return the environment of so many episodes that are named by seeds."""
@@ -60,23 +57,6 @@ def environment(options: argparse.Namespace, episodes: int) -> SatelliteTasking:
     )
     assert isinstance(env, SatelliteTasking)
     return env
-
-
-def search(env: SatelliteTasking, settings: int, zooms: int) -> dict[str, Any]:
-    """Return the best thresholds, and what the searches have cost."""
-    rule, ranges, episodes, cpu = AreaRule(), RANGES, 0, 0.0
-    for k in range(zooms + 1):
-        tuning = bsk_torch.tune(rule, env, ranges, settings=settings, seed=k)
-        rule, episodes, cpu = AreaRule(**tuning.thresholds), episodes + tuning.episodes, cpu + tuning.core_seconds
-        print(tuning, flush=True)
-        ranges = {name: around(tuning.thresholds[name], RANGES[name], NARROWING ** (k + 1)) for name in RANGES}
-    return {"thresholds": tuning.thresholds, "episodes": episodes, "core_seconds": cpu}
-
-
-def around(center: float, limits: tuple[float, float], part: float) -> tuple[float, float]:
-    """Return the part of a range around a value in it."""
-    half = 0.5 * part * (limits[1] - limits[0])
-    return max(limits[0], center - half), min(limits[1], center + half)
 
 
 def main() -> None:
@@ -95,7 +75,9 @@ def main() -> None:
         "tuning": before.get("tuning", {}),
     }
     if options.settings:
-        results["tuning"] = search(env, options.settings, options.zooms)
+        tuning = bsk_torch.tune(AreaRule(), env, RANGES, settings=options.settings, zooms=options.zooms)
+        results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
+        print(tuning, flush=True)
     thresholds = AreaRule(**results["tuning"].get("thresholds", {}))
     chance, _ = play(bsk_torch.rule("random", env), env, FIRST)
     tuned, _ = play(scan_rule(env, 0, thresholds), env, FIRST)

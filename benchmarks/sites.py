@@ -1,9 +1,9 @@
 """Head-room of Sites-v1: rules, a rule tuned by search, planners that know what is observed, and trained policies.
 
 Usage:
-    python benchmarks/sites.py [--preset Sites-v1] [--gain convex] [--risk 0] [--settings 128] [--episodes 256] [--planned 16]
-        [--horizon 180] [--futures 4 12] [--tried 8] [--schedules 8] [--time-limit 2850] [--base FOLDER] [--first 7500000]
-        [--runs FOLDER ...] [--join FILE.json ...] [--out FILE.json]
+    python benchmarks/sites.py [--preset Sites-v1] [--gain convex] [--risk 0] [--settings 128] [--zooms 2] [--episodes 256]
+        [--planned 16] [--horizon 180] [--futures 4 12] [--tried 8] [--schedules 8] [--time-limit 2850] [--base FOLDER]
+        [--first 7500000] [--runs FOLDER ...] [--join FILE.json ...] [--out FILE.json]
 
 All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over the tuned rule are paired. The
 share is this gain as a part of the way from random actions to the entrant, or to the tuned rule if that is farther. ``--settings
@@ -125,8 +125,8 @@ def figures(entrant: str, one: dict[str, Any]) -> dict[str, Any]:
 def main() -> None:
     """Measure the entrants and print a table."""
     parsed = harness.parser(
-        __doc__, preset="Sites-v1", settings=128, episodes=256, planned=16, horizon=180.0, futures=[4, 12], tried=8, first=FIRST,
-        time_limit=ORBIT / 2, gain="complete", risk=0.4,
+        __doc__, preset="Sites-v1", settings=128, zooms=2, episodes=256, planned=16, horizon=180.0, futures=[4, 12], tried=8,
+        first=FIRST, time_limit=ORBIT / 2, gain="complete", risk=0.4,
     )  # fmt: skip
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
     parsed.add_argument("--schedules", nargs="*", type=int, default=[], metavar="WIDTH", help="widths of beam searches")
@@ -147,7 +147,7 @@ def main() -> None:
     team = CommitRule.of(member_view(env)).team
     if options.settings:
         rule, ranges = commit(member_view(env)).module, RANGES | (SHARED if team else {})
-        tuning = bsk_torch.tune(rule, env, ranges, settings=options.settings)
+        tuning = bsk_torch.tune(rule, env, ranges, settings=options.settings, zooms=options.zooms)
         results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
         print(tuning, flush=True)
     numbers = results["tuning"].get("thresholds", {})

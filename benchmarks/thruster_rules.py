@@ -99,7 +99,7 @@ def main() -> None:
     env = bsk_torch.make(options.preset, num_envs=options.episodes, env_ids=[0] * options.episodes)
     assert isinstance(env, SatelliteTasking)
     seeds = range(options.first, options.first + options.episodes)
-    tuning = bsk_torch.tune(bsk_torch.rule(name, env).module, env, ranges, settings=options.settings, fresh=2)
+    tuning = bsk_torch.tune(bsk_torch.rule(name, env).module, env, ranges, settings=options.settings, zooms=0, fresh=2)
     print(tuning.thresholds, flush=True)
     best = f"{name}, tuned"
     policies = {policy: policy for policy in ("random", name)} | {best: tuning.rule}

@@ -38,6 +38,9 @@ MOST = 4096
 KEPT = 4
 """Part of the settings that a round of successive halving keeps: one of so many."""
 
+NARROWING = 0.5
+"""Width of the ranges of a search, as a part of the widths in the search before."""
+
 THRESHOLD = "thresholds"
 """Key of the thresholds of each row."""
 
@@ -50,7 +53,8 @@ class Tuned:
         thresholds: The best thresholds, by name.
         rule: The rule with these thresholds: a function of the observation, or a rule of the package.
         evaluation: Results of this rule in episodes that the search has not seen.
-        settings: All settings [K] by name of the threshold; the first are the rule's defaults, if they lie within the ranges.
+        settings: All settings [K] by name of the threshold, of all searches; the first are the rule's defaults, if they lie
+            within the ranges.
         returns: Mean return of each setting in the episodes that it has flown, [K].
         flown: Number of these episodes, [K].
         episodes: Number of episodes of the search and the evaluation.
@@ -100,6 +104,7 @@ def tune(
     settings: int = 64,
     episodes: int = 16,
     rounds: int = 3,
+    zooms: int = 2,
     fresh: int = 256,
     seed: int = 0,
 ) -> Tuned:
@@ -107,7 +112,9 @@ def tune(
 
     Successive halving (K. Jamieson and A. Talwalkar, "Non-stochastic best arm identification and hyperparameter optimization",
     AISTATS 2016): each round flies the remaining settings in new episodes, the same for all of them, and keeps the best quarter,
-    which the next round flies in four times as many. With ``rounds=1``, all settings fly equally many episodes.
+    which the next round flies in four times as many. With ``rounds=1``, all settings fly equally many episodes. A search in the
+    whole ranges is followed by ``zooms`` searches in ranges of half the width around the best setting, which flies again, too:
+    random settings of many thresholds are rarely near the best one.
 
     Args:
         rule: A function of the observation, which may take the action mask second, with thresholds as keyword arguments, such as
@@ -116,10 +123,11 @@ def tune(
             ``"rule"``, ``"cautious"`` or ``"science"``, or a :class:`~bsk_torch.rl.rules.baselines.ScanRule`.
         env: An environment with one satellite, or with equal ones; episodes are flown in others like it.
         ranges: For each threshold to tune, a tuple of its minimum and maximum, or a list of values. With lists only, all
-            combinations are tried; otherwise ``settings`` of them are drawn (a scrambled Sobol sequence).
-        settings: Number of settings K.
+            combinations are tried, once; otherwise ``settings`` of them are drawn (a scrambled Sobol sequence).
+        settings: Number of settings of each search.
         episodes: Episodes of each in the first round.
-        rounds: Number of rounds.
+        rounds: Number of rounds of each search.
+        zooms: Number of searches in narrower ranges.
         fresh: Episodes of the final evaluation, which the search has not seen.
         seed: Seed of settings and episodes.
 
@@ -130,53 +138,78 @@ def tune(
     begin = time.process_time()
     if not isinstance(env, Tasking):
         raise TypeError(f"env={env!r:.80} must be an environment of bsk_torch")
-    for name, value, least in (("settings", settings, 1), ("episodes", episodes, 1), ("rounds", rounds, 1), ("fresh", fresh, 2)):
-        whole(name, value, least)
+    numbers = {"settings": settings, "episodes": episodes, "rounds": rounds, "zooms": zooms, "fresh": fresh}
+    for name, value in numbers.items():
+        whole(name, value, {"zooms": 0, "fresh": 2}.get(name, 1))
     satellite = member_view(env).satellite
     function, defaults = _tunable(rule, satellite)
     table = _settings(ranges, defaults, settings, whole("seed", seed, 0))
-    first = FIRST + seed * SPAN
-    flights = _Flights(
-        env, RowThresholds(function, satellite, list(table)), table, min(MOST, episodes * len(next(iter(table.values()))))
-    )
-    alive = torch.arange(flights.count)
-    total, flown = torch.zeros(flights.count, dtype=torch.float64), torch.zeros(flights.count, dtype=torch.int64)
-    for k in range(rounds):
-        number = episodes * KEPT**k
-        total[alive] += flights.returns(alive, range(first, first + number)).sum(1)
-        flown[alive] += number
-        first += number
-        ranked = alive[(total[alive] / flown[alive]).argsort(descending=True, stable=True)]
-        alive = ranked[: -(-len(ranked) // KEPT)] if k < rounds - 1 else ranked
-    best = {name: float(values[alive[0]]) for name, values in table.items()}
+    count = len(next(iter(table.values())))
+    flights = _Flights(env, RowThresholds(function, satellite, list(table)), min(MOST, episodes * count))
+    if not any(isinstance(values, tuple) for values in ranges.values()):
+        zooms = 0
+    first, best = FIRST + seed * SPAN, dict[str, float]()
+    searches: list[tuple[dict[str, Tensor], Tensor, Tensor]] = []
+    for k in range(zooms + 1):
+        returns, flown, winner = _halving(flights, table, episodes, rounds, first)
+        searches.append((table, returns, flown))
+        first += int(flown[winner])
+        best = {name: float(values[winner]) for name, values in table.items()}
+        narrow = {name: _around(best[name], values, NARROWING ** (k + 1)) for name, values in ranges.items()}
+        table = _settings(narrow, best, settings, seed + k + 1)
     chosen = partial(function, **best)
     judge = env.like(min(fresh, MOST), env_ids=[0] * min(fresh, MOST))
     evaluation = evaluate(chosen, judge, seeds=range(first, first + fresh))
-    spent = int(flown.sum()) + fresh
-    return Tuned(best, chosen, evaluation, table, total / flown, flown, spent, time.process_time() - begin)
+    every = {name: torch.cat([table[name] for table, _, _ in searches]) for name in ranges}
+    returns, flown = torch.cat([search[1] for search in searches]), torch.cat([search[2] for search in searches])
+    return Tuned(best, chosen, evaluation, every, returns, flown, int(flown.sum()) + fresh, time.process_time() - begin)
+
+
+def _halving(
+    flights: _Flights, table: Mapping[str, Tensor], episodes: int, rounds: int, first: int
+) -> tuple[Tensor, Tensor, int]:
+    """Return mean returns [K] and numbers of episodes [K] of settings, and which is the best, by successive halving."""
+    alive = torch.arange(len(next(iter(table.values()))))
+    total, flown = torch.zeros(len(alive), dtype=torch.float64), torch.zeros(len(alive), dtype=torch.int64)
+    for k in range(rounds):
+        number = episodes * KEPT**k
+        remaining = {name: values[alive] for name, values in table.items()}
+        total[alive] += flights.returns(remaining, range(first, first + number)).sum(1)
+        flown[alive] += number
+        first += number
+        ranked = alive[(total[alive] / flown[alive]).argsort(descending=True, stable=True)]
+        alive = ranked[: -(-len(ranked) // KEPT)]
+    return total / flown, flown, int(ranked[0])
+
+
+def _around(center: float, values: Range, part: float) -> Range:
+    """Return the part of a range around a value in it; lists stay."""
+    if not isinstance(values, tuple):
+        return values
+    half = 0.5 * part * (values[1] - values[0])
+    return max(values[0], center - half), min(values[1], center + half)
 
 
 class _Flights:
     """Flies settings of a rule, each row with its own."""
 
-    def __init__(self, env: Tasking, policy: RowThresholds, table: Mapping[str, Tensor], rows: int) -> None:
-        """Fly ``rows`` episodes at once of the settings in ``table``, [K] by name."""
-        self.env, self.table = env.like(rows, env_ids=[0] * rows), table
-        self.count = len(next(iter(table.values())))
+    def __init__(self, env: Tasking, policy: RowThresholds, rows: int) -> None:
+        """Fly ``rows`` episodes at once."""
+        self.env = env.like(rows, env_ids=[0] * rows)
         self.group = next(iter(member_views(env))) if isinstance(env, ConstellationTasking) else None
         self.policy = shared(policy, self.env)
         self.now: dict[str, Tensor] = {}
 
-    def returns(self, numbers: Tensor, seeds: range) -> Tensor:
-        """Return the returns of the settings ``numbers`` [k] in the episodes of E ``seeds``, [k, E]."""
-        rows = self.env.num_envs
-        setting, seed = numbers.repeat_interleave(len(seeds)), list(seeds) * len(numbers)
+    def returns(self, table: Mapping[str, Tensor], seeds: range) -> Tensor:
+        """Return the returns of the settings in ``table``, [K] by name, in the episodes of E ``seeds``, [K, E]."""
+        rows, count = self.env.num_envs, len(next(iter(table.values())))
+        setting, seed = torch.arange(count).repeat_interleave(len(seeds)), list(seeds) * count
         parts = []
         for part in torch.arange(len(seed)).split(rows):
             padded = torch.nn.functional.pad(setting[part], (0, rows - len(part)), value=int(setting[part[-1]]))
-            self.now = {name: values[padded].to(self.env.device) for name, values in self.table.items()}
+            self.now = {name: values[padded].to(self.env.device) for name, values in table.items()}
             parts.append(evaluate(self._act, self.env, seeds=[seed[k] for k in part.tolist()]).returns)
-        return torch.cat(parts).view(len(numbers), len(seeds)).cpu()
+        return torch.cat(parts).view(count, len(seeds)).cpu()
 
     def _act(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the actions by the thresholds of the rows."""
@@ -243,4 +276,6 @@ def _spread(values: Range, lots: Tensor) -> Tensor:
 def _lies_in(default: float | None, values: Range) -> bool:
     if not isinstance(default, int | float):
         return False
-    return values[0] <= default <= values[1] if isinstance(values, tuple) else default in values
+    if isinstance(values, tuple):
+        return values[0] <= default <= values[1]
+    return bool((torch.tensor(values, dtype=torch.float32) == torch.tensor(default, dtype=torch.float32)).any())

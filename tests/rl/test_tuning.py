@@ -43,14 +43,32 @@ def test_returns_of_settings_do_not_depend_on_the_others(env):
 
 
 def test_draws_settings_within_ranges_after_the_defaults(env):
-    tuned = bsk_torch.tune("rule", env, {"low": (0.05, 0.5), "fast": [0.3, 0.75]}, settings=8, episodes=1, rounds=1, fresh=2)
+    ranges = {"low": (0.05, 0.5), "fast": [0.3, 0.75]}
+    tuned = bsk_torch.tune("rule", env, ranges, settings=8, episodes=1, rounds=1, zooms=0, fresh=2)
     low, fast = tuned.settings["low"], tuned.settings["fast"]
     assert (float(low[0]), float(fast[0])) == (pytest.approx(ScanRule().low), 0.75)
     assert bool(((low >= 0.05) & (low <= 0.5)).all())
     assert {round(x, 2) for x in fast.tolist()} == {0.3, 0.75}
     assert len(low.unique()) == 8
-    other = bsk_torch.tune("rule", env, {"low": (0.05, 0.5)}, settings=4, episodes=1, rounds=1, fresh=2, seed=1)
+    other = bsk_torch.tune("rule", env, {"low": (0.05, 0.5)}, settings=4, episodes=1, rounds=1, zooms=0, fresh=2, seed=1)
     assert other.settings["low"][1] != low[1]
+
+
+def test_searches_again_in_narrower_ranges_around_the_best_setting(env):
+    ranges = {"low": (0.1, 0.9), "fast": [0.3, 0.75]}
+    tuned = bsk_torch.tune("rule", env, ranges, settings=8, episodes=1, rounds=1, zooms=2, fresh=2)
+    low, fast = tuned.settings["low"].view(3, 8), tuned.settings["fast"].view(3, 8)
+    returns = tuned.returns.view(3, 8)
+    for k, width in ((1, 0.4), (2, 0.2)):
+        best = returns[k - 1].argmax()
+        assert (low[k, 0], fast[k, 0]) == (low[k - 1, best], fast[k - 1, best])  # flies again
+        assert bool(((low[k] - low[k - 1, best]).abs() <= width / 2 + 1e-6).all())
+        assert len(low[k].unique()) == 8
+    best = returns[2].argmax()
+    assert tuned.thresholds == {"low": low[2, best], "fast": fast[2, best]}
+    assert tuned.episodes == 3 * 8 + 2
+    judge = env.like(2, env_ids=[0] * 2)
+    assert torch.equal(bsk_torch.evaluate(tuned.rule, judge, seeds=range(2**40 + 3, 2**40 + 5)).returns, tuned.evaluation.returns)
 
 
 def test_the_defaults_of_a_rule_return_what_the_rule_does(env):
