@@ -1,7 +1,7 @@
 """Areas on bsk_rl: their windows, what is observed of them, and the reward of Areas-v1.
 
-Everything is computed from the definitions in the docstrings of ``bsk_torch.tasks.areas``, in numpy and without its code; only what
-an episode draws comes from there, as arrays.
+Everything is computed in numpy from the definitions in the docstrings of ``bsk_torch.tasks.areas``, without its code; only what
+episodes draw comes from there, as arrays.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ HORIZON, SOON = 5700.0, 240.0
 MINUTE = 60.0
 
 FINE = 1.0
-"""Step, s, of the trajectory below which areas are observed: that of the simulation; bsk_rl's own, in steps of 30 s, is meters off."""
+"""Step of the trajectory below which areas are observed, s: that of the simulation. In steps of 5 s, it is a meter off."""
 
 SHORTEST = 0.1
 """Windows that last no longer are dropped, s."""
@@ -48,7 +48,7 @@ class Areas:
         cosine: Cosine of the central angle of a chord as long as the reach, at the polar radius, [A].
     """
 
-    def __init__(self, cells: Array, share: Array, weight: Array, swath: float, revisit: float | None) -> None:
+    def __init__(self, cells: Array, share: Array, weight: Array, swath: float, revisit: float | None = None) -> None:
         """Describe the areas of an episode."""
         self.cells, self.share, self.weight, self.swath, self.revisit = cells, share, weight, swath, revisit
         own = [place[part > 0.0] for place, part in zip(cells, share, strict=True)]
@@ -63,32 +63,27 @@ class Areas:
         def margin(area: NDArray[np.int64], time: Array) -> Array:
             return (unit(path(time)) * self.center[area]).sum(-1) / EQUATOR - self.cosine[area]
 
+        times = np.pad(times, 1, mode="edge")
         f = self.center @ unit(path(times)).T / EQUATOR - self.cosine[:, None]
-        around = np.pad(f, ((0, 0), (1, 1)), constant_values=-np.inf)
-        grazed, k = np.nonzero((f <= 0.0) & (f >= around[:, :-2]) & (f > around[:, 2:]))
-        before, after = times[np.maximum(k - 1, 0)], times[np.minimum(k + 1, len(times) - 1)]
-        low, high = before, after
+        f[:, [0, -1]] = -np.inf
+        area, k = np.nonzero((f[:, 1:-1] <= 0.0) & (f[:, 1:-1] >= f[:, :-2]) & (f[:, 1:-1] > f[:, 2:]))
+        low, high = times[k], times[k + 2]
         for _ in range(40):
             third = (high - low) / 3.0
-            earlier = margin(grazed, low + third) > margin(grazed, high - third)
+            earlier = margin(area, low + third) > margin(area, high - third)
             low, high = np.where(earlier, low, low + third), np.where(earlier, high - third, high)
-        top = 0.5 * (low + high)
-        seen = margin(grazed, top) > 0.0
-        grazed, before, top, after = grazed[seen], before[seen], top[seen], after[seen]
-        crossed, j = np.nonzero((f[:, 1:] > 0.0) != (f[:, :-1] > 0.0))
-        rises = f[crossed, j + 1] > 0.0
-        area = np.concatenate([grazed, grazed, crossed])
-        outside = np.concatenate([before, after, times[np.where(rises, j, j + 1)]])
-        inside = np.concatenate([top, top, times[np.where(rises, j + 1, j)]])
+        above = np.concatenate([f.ravel(), margin(area, low)]) > 0.0  # at the samples, and at the maxima between them
+        area = np.concatenate([np.repeat(np.arange(len(f)), len(times)), area])
+        time = np.concatenate([np.tile(times, len(f)), low])
+        order = np.lexsort((time, area))
+        area, time, above = area[order], time[order], above[order]
+        k = np.flatnonzero(above[1:] != above[:-1])
+        inside, outside = np.where(above[k], (time[k], time[k + 1]), (time[k + 1], time[k]))
         for _ in range(60):
             middle = 0.5 * (outside + inside)
-            above = margin(area, middle) > 0.0
+            above = margin(area[k], middle) > 0.0
             outside, inside = np.where(above, outside, middle), np.where(above, middle, inside)
-        ends = [np.flatnonzero(f[:, side] > 0.0) for side in (0, -1)]
-        area = np.concatenate([area, *ends])
-        time = np.concatenate([inside, *(np.full(len(part), times[side]) for part, side in zip(ends, (0, -1), strict=True))])
-        order = np.lexsort((time, area))
-        for number, (opens, closes) in zip(area[order][::2], time[order].reshape(-1, 2), strict=True):
+        for number, (opens, closes) in zip(area[k][::2], inside.reshape(-1, 2), strict=True):
             if closes - opens > SHORTEST or opens == times[0] or closes == times[-1]:
                 yield int(number), (opens, closes)
 
@@ -167,16 +162,8 @@ class AreaProperties(obs.Observation):
         }
 
 
-class Earned(data.base.Data):
+class Earned(float, data.base.Data):
     """What recorded cells are worth."""
-
-    def __init__(self, worth: float = 0.0) -> None:
-        """Hold a number."""
-        self.worth = worth
-
-    def __add__(self, other: Earned) -> Earned:
-        """Sum."""
-        return Earned(self.worth + other.worth)
 
 
 class AreaStore(data.base.DataStore):
@@ -195,7 +182,7 @@ class AreaStore(data.base.DataStore):
         return 1.0 * np.isinf(self.last) if revisit is None else np.minimum((now - self.last) / revisit, 1.0)
 
     def get_log_state(self) -> tuple[Array, Array]:
-        """Level of the store, [T] bit, and where the axis of the instrument meets the ground, [T, 3] m, in the ticks of a step."""
+        """Levels of the store, [T] bit, and places where the axis of the instrument meets the ground, [T, 3] m, in a step."""
         body, store, planet = self.satellite.recorders
         level, r_N, s = (np.array(part) for part in (store.storageLevel, body.r_BN_N, body.sigma_BN))
         axis, square = np.array(self.satellite.fsw.locPoint.pHat_B).ravel(), (s * s).sum(-1, keepdims=True)
@@ -216,7 +203,7 @@ class AreaStore(data.base.DataStore):
                 hit[area] = (distances(areas.cells[area], places) <= 0.5 * areas.swath).any(1)
         worth = (areas.weight[:, None] * areas.share * self.due(now))[hit].sum()
         self.last[hit] = now
-        return Earned(float(worth))
+        return Earned(worth)
 
 
 def distances(places: Array, others: Array) -> Array:
@@ -241,4 +228,4 @@ class AreaReward(data.base.GlobalReward):
 
     def calculate_reward(self, new_data_dict: dict[str, Earned]) -> dict[str, float]:
         """Called after a step."""
-        return {name: earned.worth for name, earned in new_data_dict.items()}
+        return {name: float(earned) for name, earned in new_data_dict.items()}

@@ -139,7 +139,7 @@ class Problem:
 
     preset: str
     settings: dict[str, Any]
-    scenario: dict[str, float | None]
+    scenario: dict[str, float]
     shielded: bool
     observed: tuple[str, ...]
     actions: tuple[str, ...]
@@ -185,7 +185,7 @@ def problem_of(env: SatelliteTasking, preset: str) -> Problem:
             "failure_penalty": env.failure_penalty,
             "terminate_on_time_limit": env.terminate_on_time_limit,
         },
-        scenario={name: getattr(scenario, name) for name in SHARED if hasattr(scenario, name)},
+        scenario={name: value for name in SHARED if (value := getattr(scenario, name, None)) is not None},
         shielded=bool(getattr(satellite, "shielded", False)),
         observed=tuple(satellite.observation_description),
         actions=tuple(satellite.action_description),

@@ -61,9 +61,9 @@ def test_a_start_leaves_nothing_to_draw_and_is_plain(flown):
 
 @pytest.mark.compiled
 def test_a_start_of_areas_has_their_cells_in_their_order():
-    env = Flyer("random", "Areas-v1", {"n_areas": 7}).environment(2, time_limit=60.0)
+    env = Flyer("random", "Areas-v1", {"n_areas": 7, "revisit": 900.0}).environment(2, time_limit=60.0)
     starts, _ = fly_here(env, random_action, range(2))
-    assert problem_of(env, "Areas-v1").scenario == {"swath": 300e3, "revisit": None}
+    assert problem_of(env, "Areas-v1").scenario == {"swath": 300e3, "revisit": 900.0}
     for row, start in enumerate(starts):
         cells, share, weight = (torch.as_tensor(part) for part in start.areas)
         index = env.scenario.index[row]
