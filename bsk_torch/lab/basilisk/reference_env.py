@@ -82,7 +82,9 @@ def areas(problem: Problem, start: Start) -> SatelliteTasking:
     """Areas-v1."""
     if start.areas is None:
         raise ValueError(f"{problem.preset} needs areas; the episode of seed {start.seed} has none")
-    attributes = {**scanning([60.0] * 4, [AreaProperties("areas")]), "areas": Areas(*start.areas, **problem.scenario)}
+    cells, share, weight = start.areas
+    own = {"areas": Areas(cells, share, weight, **problem.scenario)}
+    attributes = scanning([60.0] * 4, [AreaProperties("areas")]) | own
     satellite = type("AreaScanner", (AreaSatellite,), attributes)("Scanner1", sat_args=bits(start.sat_args))
     return environment(problem, start, satellite, scene.Scenario(), AreaReward())
 
