@@ -19,11 +19,15 @@ from bsk_torch.lab.basilisk.flight import FLOWN, Pilot
 from bsk_torch.lab.planners.named import PREFIX, named_planner
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.files import check_fits, policy_of_file, read_card
+from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 
 RANDOM = "random"
 """Name of the policy whose actions depend on the episode's seed and the number of the decision only."""
+
+PRETRAINED = "pretrained"
+"""Name of the policy that comes with the package for a preset."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,8 @@ def recruit(policy: str, preset: str | None, plan: Sequence[str] = ()) -> Flyer:
         raise ValueError(f"--plan {plan[0]} is an option of a planner, such as {PREFIX}rollout; POLICY={policy!r} is none")
     if policy in BASELINES or policy.startswith(PREFIX):
         return Flyer(policy, preset or FLOWN[0], {}, tuple(plan))
+    if policy == PRETRAINED:
+        policy = str(pretrained_file(preset or FLOWN[0]))
     try:
         card = read_card(policy)
     except FileNotFoundError as error:

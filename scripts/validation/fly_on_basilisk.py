@@ -157,7 +157,13 @@ def main(given: list[str] | None = None) -> None:
     for line in findings(pairs, problem.observed, problem.actions):
         console.print(line)
     if options.out is not None:
-        about = {"policy": Path(options.policy).name, "preset": flyer.preset, "options": flyer.options, "versions": versions()}
+        policy = Path(options.policy)
+        about = {
+            "policy": policy.name if policy.is_absolute() else options.policy,
+            "preset": flyer.preset,
+            "options": flyer.options,
+            "versions": versions(),
+        }
         about |= {"plan": flyer.plan} if flyer.plans else {}
         options.out.write_text(json.dumps(about | kept(pairs)) + "\n")
     if options.record is not None:

@@ -1,7 +1,7 @@
 """Flights of the same episodes on Basilisk itself, driven through bsk_rl, where these are installed.
 
-Only :mod:`bsk_torch.lab.basilisk.reference_env` imports Basilisk, when an episode is flown; :func:`lacking` lists what to
-install.
+Only :mod:`bsk_torch.lab.basilisk.reference_env`, and what it imports, needs Basilisk, when an episode is flown; :func:`lacking`
+lists what to install.
 """
 
 from bsk_torch.lab.basilisk.certificate import Certificate, certify

@@ -33,11 +33,17 @@ from bsk_torch.sim.fsw.target import VERTICAL
 
 Array = NDArray[np.float64]
 
-FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "AEOSCity-v1"
+FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "AEOSCity-v1", "Areas-v1"
 """Presets that :mod:`bsk_torch.lab.basilisk.reference_env` can build."""
 
 TABLES = "target_r_LP_P", "target_priority", "target_exists"
 """Tables of scenarios with targets: positions m, Earth-fixed, priorities, and whether a row is a target."""
+
+AREAS = "area_index", "area_weight"
+"""Tables of scenarios with areas: their numbers among all areas of the scenario, and their weights."""
+
+SHARED = "value_per_second", "swath", "revisit"
+"""Numbers of scenarios that all episodes share."""
 
 NUDGE = 1e-12
 """Change of the initial attitude (MRP) by which the conditioning of an episode is tested."""
@@ -107,13 +113,19 @@ class Flight:
 
 @dataclass(frozen=True)
 class Start:
-    """Initial conditions of an episode, as arguments; ``targets`` [T, 3] m Earth-fixed with priorities [T], if any."""
+    """Initial conditions of an episode, as arguments.
+
+    With targets, ``targets`` are their positions [T, 3] m, Earth-fixed, and priorities [T]. With A areas, ``areas`` are the
+    positions of their up to C cells [A, C, 3] m, Earth-fixed, the share of its area of each cell [A, C], zero for padding, and
+    weights [A].
+    """
 
     seed: int
     sat_args: UserArguments
     world_args: UserArguments
     time_limit: float
     targets: tuple[Array, Array] | None = None
+    areas: tuple[Array, Array, Array] | None = None
 
     def nudged(self) -> Start:
         """The start with the first component of the attitude changed by :data:`NUDGE`."""
@@ -173,7 +185,7 @@ def problem_of(env: SatelliteTasking, preset: str) -> Problem:
             "failure_penalty": env.failure_penalty,
             "terminate_on_time_limit": env.terminate_on_time_limit,
         },
-        scenario={name: getattr(scenario, name) for name in ("value_per_second",) if hasattr(scenario, name)},
+        scenario={name: value for name in SHARED if (value := getattr(scenario, name, None)) is not None},
         shielded=bool(getattr(satellite, "shielded", False)),
         observed=tuple(satellite.observation_description),
         actions=tuple(satellite.action_description),
@@ -200,6 +212,7 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
             fixed_world | {name: rows[k] for name, rows in drawn_world.items()} | {"utc_init": epochs[k]},
             float(env.time_limit[k]),
             targets_of(env, k),
+            areas_of(env, k),
         )
         for k, seed in enumerate(seeds)
     ]
@@ -248,6 +261,16 @@ def targets_of(env: SatelliteTasking, row: int) -> tuple[Array, Array] | None:
         return None
     position, priority, exists = (tables[name][row].double().cpu().numpy() for name in TABLES)
     return position[exists > 0.5], priority[exists > 0.5]
+
+
+def areas_of(env: SatelliteTasking, row: int) -> tuple[Array, Array, Array] | None:
+    """Areas of an episode, in their order; None if there are none."""
+    tables = env.simulator.scenario_state
+    if AREAS[0] not in tables:
+        return None
+    index, weight = (tables[name][row].cpu() for name in AREAS)
+    cells, share = (getattr(env.scenario, name)[index.long()].cpu().numpy() for name in ("r_CP_P", "share"))
+    return cells, share, weight.numpy()
 
 
 # -- flying in bsk_torch ----------------------------------------------------------------------------------------------

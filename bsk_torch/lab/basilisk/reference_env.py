@@ -1,8 +1,11 @@
-"""Presets of bsk_torch as environments of bsk_rl, and flights of episodes there. The only module that needs Basilisk."""
+"""Presets of bsk_torch as environments of bsk_rl, and flights of episodes there.
+
+The parts for areas are in :mod:`bsk_torch.lab.basilisk.areas_reference`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import zip_longest
 from typing import Any
 
@@ -14,6 +17,7 @@ from bsk_rl.sim import dyn, fsw
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
+from bsk_torch.lab.basilisk.areas_reference import AreaProperties, AreaReward, Areas, AreaSatellite
 from bsk_torch.lab.basilisk.flight import LONGEST, Array, Flight, Pilot, Problem, Start
 from bsk_torch.presets.aeos import ORBIT, SATELLITE, TARGET
 from bsk_torch.presets.aeos_power import BIN, BINS, CHARGE, CROWD, DESAT, FAST, RESERVE, RESOURCES
@@ -48,8 +52,8 @@ def next_station() -> obs.OpportunityProperties:
     return obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=1)
 
 
-def nadir_scan(problem: Problem, start: Start) -> SatelliteTasking:
-    """NadirScan-v1."""
+def scanning(durations: Sequence[float], ahead: Sequence[obs.Observation] = ()) -> dict[str, Any]:
+    """Attributes of a satellite that scans, charges, downlinks, and slows its wheels for these durations, s."""
     properties = (
         dict(prop="storage_level_fraction"),
         dict(prop="battery_charge_fraction"),
@@ -57,20 +61,32 @@ def nadir_scan(problem: Problem, start: Start) -> SatelliteTasking:
         dict(prop="instrument_pointing_error", norm=np.pi),
         dict(prop="solar_pointing_error", norm=np.pi),
     )
-    attributes = {
-        "observation_spec": [obs.SatProperties(*properties), next_station(), obs.Eclipse(norm=ORBIT), obs.Time()],
-        "action_spec": [
-            act.Scan(duration=180.0),
-            act.Charge(duration=120.0),
-            act.Downlink(duration=60.0),
-            act.Desat(duration=60.0),
-        ],
+    actions = act.Scan, act.Charge, act.Downlink, act.Desat
+    return {
+        "observation_spec": [obs.SatProperties(*properties), next_station(), obs.Eclipse(norm=ORBIT), obs.Time(), *ahead],
+        "action_spec": [action(duration=duration) for action, duration in zip(actions, durations, strict=True)],
         "dyn_type": ScannerDyn,
         "fsw_type": fsw.ContinuousImagingFSWModel,
     }
+
+
+def nadir_scan(problem: Problem, start: Start) -> SatelliteTasking:
+    """NadirScan-v1."""
+    attributes = scanning((180.0, 120.0, 60.0, 60.0))
     # a new class for each episode, because composed models are kept on the class
     satellite = type("Scanner", (sats.AccessSatellite,), attributes)("Scanner1", sat_args=bits(start.sat_args))
     return environment(problem, start, satellite, scene.UniformNadirScanning(**problem.scenario), data.ScanningTimeReward())
+
+
+def areas(problem: Problem, start: Start) -> SatelliteTasking:
+    """Areas-v1."""
+    if start.areas is None:
+        raise ValueError(f"{problem.preset} needs areas; the episode of seed {start.seed} has none")
+    cells, share, weight = start.areas
+    own = {"areas": Areas(cells, share, weight, **problem.scenario)}
+    attributes = scanning([60.0] * 4, [AreaProperties("areas")]) | own
+    satellite = type("AreaScanner", (AreaSatellite,), attributes)("Scanner1", sat_args=bits(start.sat_args))
+    return environment(problem, start, satellite, scene.Scenario(), AreaReward())
 
 
 def bits(arguments: UserArguments) -> UserArguments:
@@ -156,6 +172,7 @@ BUILDERS: dict[str, Callable[[Problem, Start], SatelliteTasking]] = {
     "AEOS-v1": imaging,
     "AEOSPower-v1": imaging,
     "AEOSCity-v1": imaging,
+    "Areas-v1": areas,
 }
 """Presets that can be flown, by name."""
 

@@ -38,8 +38,12 @@ class AreaProperties(CandidateProperties):
     ``opens_soon``          exp(-``opens`` / 240 s), which tells minutes apart, and the same of ``closes``: ``closes_soon``
     ======================  =========================================================================================
 
-    ``gain`` and ``offset`` are those of the great circle below the satellite in the middle of the window, from which the track
-    deviates by a few kilometers within minutes.
+    A window lasts while the satellite is above a cap of the Earth around the *center* of the area, the mean of its cells moved to
+    the equatorial radius. The cap ends at the central angle of a chord at the polar radius that is as long as the *reach*, the
+    largest distance of a cell from the center plus half a swath.
+
+    ``gain`` and ``offset`` are those of a great circle, through the places below the satellite at the whole minutes since reset
+    before and after the middle of the window. The track deviates from it by a few kilometers within minutes.
     """
 
     properties: ClassVar[Sequence[str]] = (

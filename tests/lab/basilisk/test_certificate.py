@@ -33,9 +33,9 @@ def short(preset, **options):
     return replace(tasks_of("v1", preset)[0], options={"compat": "bsk_rl", **options})
 
 
-def test_flown_presets_are_in_the_suite_and_functions_do_not_decide_on_basilisk():
-    tasks = {task.preset: task for task in SUITES["v1"]}
-    assert [tasks[preset].at_once for preset in FLOWN] == [512] * 4
+def test_flown_presets_are_in_suites_and_functions_do_not_decide_on_basilisk():
+    tasks = {task.preset: task for task in (*SUITES["v1"], *SUITES["v3"])}
+    assert [tasks[preset].at_once for preset in FLOWN] == [512] * 4 + [256]
     assert not decides_by_sight(lambda tensordict: tensordict)
     memory = TensorDictModule(lambda x: (x, x), ["observation"], ["action", ("next", "memory")])
     assert not decides_by_sight(memory)

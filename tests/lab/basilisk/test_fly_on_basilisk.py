@@ -60,6 +60,19 @@ def test_a_start_leaves_nothing_to_draw_and_is_plain(flown):
 
 
 @pytest.mark.compiled
+def test_a_start_of_areas_has_their_cells_in_their_order():
+    env = Flyer("random", "Areas-v1", {"n_areas": 7, "revisit": 900.0}).environment(2, time_limit=60.0)
+    starts, _ = fly_here(env, random_action, range(2))
+    assert problem_of(env, "Areas-v1").scenario == {"swath": 300e3, "revisit": 900.0}
+    for row, start in enumerate(starts):
+        cells, share, weight = (torch.as_tensor(part) for part in start.areas)
+        index = env.scenario.index[row]
+        torch.testing.assert_close(cells, env.scenario.r_CP_P[index], rtol=0, atol=0)
+        torch.testing.assert_close(share.sum(1), torch.ones(7, dtype=torch.float64))
+        torch.testing.assert_close(weight, env.scenario.weight[row], rtol=0, atol=0)
+
+
+@pytest.mark.compiled
 def test_a_start_of_targets_has_them_in_their_order():
     env = Flyer("random", "AEOS-v1", {}).environment(2, n_targets=(4, 9), time_limit=30.0)
     starts, _ = fly_here(env, random_action, range(2))
@@ -243,15 +256,22 @@ def test_rejects_missing_packages_and_data(monkeypatch, tmp_path):
 
 
 @pytest.mark.compiled
-def test_the_rule_flies_as_it_has_flown_on_basilisk():
-    """Every action follows from what that simulator shows; one of the three episodes ends with an empty battery."""
-    with np.load(Path(__file__).parents[2] / "basilisk" / "recordings" / "flight_rule.npz") as file:
+@pytest.mark.parametrize(
+    ("name", "policy", "preset", "options", "survived"),
+    [
+        ("flight_rule", "rule", "NadirScan-v1", {}, [True, False, True]),
+        ("flight_areas", "pretrained", "Areas-v1", {"time_limit": 5700.0}, [True, True]),
+    ],
+)
+def test_policies_fly_as_they_have_flown_on_basilisk(name, policy, preset, options, survived):
+    """Every action follows from what that simulator shows; one episode ends with an empty battery."""
+    with np.load(Path(__file__).parents[2] / "basilisk" / "recordings" / f"{name}.npz") as file:
         there = dict(file)
-    flyer = Flyer("rule", "NadirScan-v1", {})
-    env = flyer.environment(3)
+    flyer = recruit(policy, preset)
+    env = flyer.environment(len(survived), **options)
     _, flights = fly_here(env, flyer.pilot(problem_of(env, flyer.preset).observed), there["seed"].tolist())
     assert [len(flight.actions) for flight in flights] == there["decisions"].tolist()
-    assert [flight.survived for flight in flights] == there["survived"].tolist() == [True, False, True]
+    assert [flight.survived for flight in flights] == there["survived"].tolist() == survived
     actions, rewards, observations = (
         np.concatenate([getattr(flight, name) for flight in flights]) for name in ("actions", "rewards", "observations")
     )
@@ -263,7 +283,11 @@ def test_the_rule_flies_as_it_has_flown_on_basilisk():
 @pytest.mark.basilisk
 @pytest.mark.parametrize(
     ("preset", "policy", "options"),
-    [("NadirScan-v1", "rule", {}), ("AEOSPower-v1", "nearest", {"n_targets": 300, "time_limit": 200.0})],
+    [
+        ("NadirScan-v1", "rule", {}),
+        ("AEOSPower-v1", "nearest", {"n_targets": 300, "time_limit": 200.0}),
+        ("Areas-v1", "areas", {"revisit": 300.0, "time_limit": 1800.0}),
+    ],
 )
 def test_a_policy_flies_on_basilisk_as_in_bsk_torch(preset, policy, options):
     from bsk_torch.lab.basilisk.reference_env import BUILDERS, fly_there
