@@ -151,12 +151,13 @@ def tune(
     first, best = FIRST + seed * SPAN, dict[str, float]()
     searches: list[tuple[dict[str, Tensor], Tensor, Tensor]] = []
     for k in range(zooms + 1):
+        if k:
+            narrow = {name: _around(best[name], values, NARROWING**k) for name, values in ranges.items()}
+            table = _settings(narrow, best, settings, seed + k)
         returns, flown, winner = _halving(flights, table, episodes, rounds, first)
         searches.append((table, returns, flown))
         first += int(flown[winner])
         best = {name: float(values[winner]) for name, values in table.items()}
-        narrow = {name: _around(best[name], values, NARROWING ** (k + 1)) for name, values in ranges.items()}
-        table = _settings(narrow, best, settings, seed + k + 1)
     chosen = partial(function, **best)
     judge = env.like(min(fresh, MOST), env_ids=[0] * min(fresh, MOST))
     evaluation = evaluate(chosen, judge, seeds=range(first, first + fresh))

@@ -143,19 +143,19 @@ class AreaProperties(obs.Observation):
     def _properties(self, area: int, opens: float, closes: float) -> dict[str, float]:
         satellite, areas, now = self.satellite, self.satellite.areas, self.simulator.sim_time
         minute = int(0.5 * (opens + closes) / MINUTE)
-        left = unit(np.cross(satellite.track[minute], satellite.track[minute + 1]))
-        along = unit(np.cross(left, satellite.dynamics.r_BN_P))
+        left_axis = unit(np.cross(satellite.track[minute], satellite.track[minute + 1]))
+        forward_axis = unit(np.cross(left_axis, satellite.dynamics.r_BN_P))
         opens, closes = (min(max(time - now, 0.0), HORIZON) for time in (opens, closes))
         cells, half, share = areas.cells[area], 0.5 * areas.swath, areas.share[area] * satellite.data_store.due(now)[area]
-        seen = (np.abs(cells @ left) <= half) & ((cells @ along >= -half) | (opens > 0.0))
-        weight, gain = areas.weight[area], share[seen].sum()
+        visible = (np.abs(cells @ left_axis) <= half) & ((cells @ forward_axis >= -half) | (opens > 0.0))
+        weight, gain = areas.weight[area], share[visible].sum()
         return {
             "opens": opens / HORIZON,
             "closes": closes / HORIZON,
             "weight": weight,
             "remaining": share.sum(),
             "gain": gain,
-            "offset": areas.center[area] @ left / areas.reach[area],
+            "offset": areas.center[area] @ left_axis / areas.reach[area],
             "pays": weight * gain,
             "opens_soon": np.exp(-opens / SOON),
             "closes_soon": np.exp(-closes / SOON),
