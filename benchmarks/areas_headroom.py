@@ -2,19 +2,20 @@
 
 Usage:
     python benchmarks/areas_headroom.py [--task areas_revisit] [--settings 128] [--zooms 4] [--episodes 256]
-        [--runs FOLDER ...] [--planned 32] [--horizon 1200] [--time-limit 28500] [--out FILE.json]
+        [--runs FOLDER ...] [--planned 32] [--horizons 1200 5700] [--time-limit 28500] [--out FILE.json]
 
 Tasks are those of the suite v3. All fly the same fresh episodes, of which planners have the first ``--planned`` only; gains over
 the tuned rule are paired, and the share is this gain as a part of the way from random actions to the entrant. The rule is tuned
 by a search in the whole ranges, and by ``--zooms`` others in narrower ones around the best thresholds; ``--settings 0`` takes the
 tuned thresholds of ``--out``, or those of the package. ``--runs`` are folders of trainings. Planners fly each of the four actions
-in copies of the episode, followed by the tuned rule or by the first of ``--runs``. Entrants that are measured again replace their
-rows of ``--out``.
+in copies of the episode, followed by the tuned rule or by the first of ``--runs`` up to a horizon. Entrants that are measured
+again replace their rows of ``--out``.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,7 @@ RANGES = {
     "lead": (60.0, 600.0),
     "least": (0.0, 0.15),
     "scarce": (0.0, 0.4),
+    "rich": (0.0, 2.0),
 }
 """Thresholds of the rule, and between which they are tuned."""
 
@@ -61,10 +63,9 @@ def environment(options: argparse.Namespace, episodes: int) -> SatelliteTasking:
 
 def main() -> None:
     """Measure the entrants and print a table."""
-    parsed = harness.parser(
-        __doc__, task="areas", settings=128, zooms=4, episodes=256, planned=0, horizon=1200.0, time_limit=5 * ORBIT
-    )
+    parsed = harness.parser(__doc__, task="areas", settings=128, zooms=4, episodes=256, planned=0, time_limit=5 * ORBIT)
     parsed.add_argument("--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="trainings")
+    parsed.add_argument("--horizons", nargs="*", type=float, default=[1200.0, ORBIT], metavar="S", help="of planners, s")
     options, described = harness.begin(parsed)
     env = environment(options, options.episodes)
     before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
@@ -97,8 +98,8 @@ def main() -> None:
         where = environment(options, options.planned)
         bases = {TUNED: scan_rule(where, 0, thresholds)}
         bases |= {f"policy {folder.name}": bsk_torch.load_policy(folder, where) for folder in options.runs[:1]}
-        for base, policy in bases.items():
-            enter(f"rollout of {base}", Rollout(where, policy, horizon=options.horizon, gamma=1.0), where)
+        for (base, policy), horizon in itertools.product(bases.items(), options.horizons):
+            enter(f"rollout of {base}, {horizon:g} s", Rollout(where, policy, horizon=horizon, gamma=1.0), where)
     print(harness.table(COLUMNS, list(table.values())))
 
 

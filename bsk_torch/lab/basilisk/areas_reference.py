@@ -19,8 +19,11 @@ Array = NDArray[np.float64]
 EQUATOR, POLE = 6378137.0, 6378137.0 * (1.0 - 1.0 / 298.257223563)
 """Semi-axes of the WGS84 ellipsoid, m."""
 
-AHEAD = 4
-"""Number of areas observed."""
+AHEAD, FAR_AHEAD, STATIONS = 4, 24, 6
+"""Numbers of areas and of passes over stations observed, the latter two of the outlook."""
+
+ENDS = np.cumsum([60.0] * 8 + [120.0] * 8 + [300.0] * 8)
+"""Ends of the intervals of the outlook, s."""
 
 HORIZON, SOON = 5700.0, 240.0
 """Longest time observed, and the time that divides ``opens_soon`` by e, s."""
@@ -138,28 +141,50 @@ class AreaProperties(obs.Observation):
     def get_obs(self) -> dict[str, dict[str, float]]:
         """Called after a step."""
         ahead = self.satellite.find_next_opportunities(AHEAD, types="area")
-        return {f"{self.name}_{k}": self._properties(area["object"], *area["window"]) for k, area in enumerate(ahead)}
+        return {f"{self.name}_{k}": properties(self.satellite, area["object"], *area["window"]) for k, area in enumerate(ahead)}
 
-    def _properties(self, area: int, opens: float, closes: float) -> dict[str, float]:
-        satellite, areas, now = self.satellite, self.satellite.areas, self.simulator.sim_time
-        minute = int(0.5 * (opens + closes) / MINUTE)
-        left_axis = unit(np.cross(satellite.track[minute], satellite.track[minute + 1]))
-        forward_axis = unit(np.cross(left_axis, satellite.dynamics.r_BN_P))
-        opens, closes = (min(max(time - now, 0.0), HORIZON) for time in (opens, closes))
-        cells, half, share = areas.cells[area], 0.5 * areas.swath, areas.share[area] * satellite.data_store.due(now)[area]
-        visible = (np.abs(cells @ left_axis) <= half) & ((cells @ forward_axis >= -half) | (opens > 0.0))
-        weight, gain = areas.weight[area], share[visible].sum()
-        return {
-            "opens": opens / HORIZON,
-            "closes": closes / HORIZON,
-            "weight": weight,
-            "remaining": share.sum(),
-            "gain": gain,
-            "offset": areas.center[area] @ left_axis / areas.reach[area],
-            "pays": weight * gain,
-            "opens_soon": np.exp(-opens / SOON),
-            "closes_soon": np.exp(-closes / SOON),
-        }
+
+def properties(satellite: Any, area: int, opens: float, closes: float) -> dict[str, float]:
+    """What is observed of an area and a window."""
+    areas, now = satellite.areas, satellite.simulator.sim_time
+    minute = int(0.5 * (opens + closes) / MINUTE)
+    left_axis = unit(np.cross(satellite.track[minute], satellite.track[minute + 1]))
+    forward_axis = unit(np.cross(left_axis, satellite.dynamics.r_BN_P))
+    opens, closes = (min(max(time - now, 0.0), HORIZON) for time in (opens, closes))
+    cells, half, share = areas.cells[area], 0.5 * areas.swath, areas.share[area] * satellite.data_store.due(now)[area]
+    visible = (np.abs(cells @ left_axis) <= half) & ((cells @ forward_axis >= -half) | (opens > 0.0))
+    weight, gain = areas.weight[area], share[visible].sum()
+    return {
+        "opens": opens / HORIZON,
+        "closes": closes / HORIZON,
+        "weight": weight,
+        "remaining": share.sum(),
+        "gain": gain,
+        "offset": areas.center[area] @ left_axis / areas.reach[area],
+        "pays": weight * gain,
+        "opens_soon": np.exp(-opens / SOON),
+        "closes_soon": np.exp(-closes / SOON),
+    }
+
+
+class AreaOutlook(obs.Observation):
+    """What scans would bring in each interval, and how much of it a station is in view."""
+
+    def get_obs(self) -> dict[str, Array]:
+        """Called after a step."""
+        now, worth, in_view = self.simulator.sim_time, np.zeros(len(ENDS)), np.zeros(len(ENDS))
+        for area in self.satellite.find_next_opportunities(FAR_AHEAD, pad=False, types="area"):
+            opens, closes = area["window"]
+            pays = properties(self.satellite, area["object"], opens, closes)["pays"]
+            worth += pays * overlaps(opens - now, closes - now) / max(closes - max(opens, now), 1.0)
+        for station in self.satellite.find_next_opportunities(STATIONS, pad=False, types="ground_station"):
+            in_view += overlaps(*(time - now for time in station["window"]))
+        return {"worth": worth, "in_view": np.minimum(in_view / np.diff(ENDS, prepend=0.0), 1.0)}
+
+
+def overlaps(opens: float, closes: float) -> Array:
+    """How long a window is open in each interval of the outlook, [K] s."""
+    return np.diff(np.clip(ENDS, max(opens, 0.0), closes), prepend=max(opens, 0.0))
 
 
 class Earned(float, data.base.Data):

@@ -17,7 +17,7 @@ from bsk_rl.sim import dyn, fsw
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from bsk_torch.lab.basilisk.areas_reference import AreaProperties, AreaReward, Areas, AreaSatellite
+from bsk_torch.lab.basilisk.areas_reference import AreaOutlook, AreaProperties, AreaReward, Areas, AreaSatellite
 from bsk_torch.lab.basilisk.flight import LONGEST, Array, Flight, Pilot, Problem, Start
 from bsk_torch.presets.aeos import ORBIT, SATELLITE, TARGET
 from bsk_torch.presets.aeos_power import BIN, BINS, CHARGE, CROWD, DESAT, FAST, RESERVE, RESOURCES
@@ -84,7 +84,7 @@ def areas(problem: Problem, start: Start) -> SatelliteTasking:
         raise ValueError(f"{problem.preset} needs areas; the episode of seed {start.seed} has none")
     cells, share, weight = start.areas
     own = {"areas": Areas(cells, share, weight, **problem.scenario)}
-    attributes = scanning([60.0] * 4, [AreaProperties("areas")]) | own
+    attributes = scanning([60.0] * 4, [AreaProperties("areas"), AreaOutlook("outlook")]) | own
     satellite = type("AreaScanner", (AreaSatellite,), attributes)("Scanner1", sat_args=bits(start.sat_args))
     return environment(problem, start, satellite, scene.Scenario(), AreaReward())
 

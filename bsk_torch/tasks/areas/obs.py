@@ -1,20 +1,23 @@
-"""Observation of the next areas below the orbit, and of what recording them would bring."""
+"""Observations of the areas below the orbit, and of what recording them would bring."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.astro.ephemeris import earth_orientation
+from bsk_torch._checks import number, whole
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation
+from bsk_torch.obs.base import Observation, Values
 from bsk_torch.obs.candidates import CandidateProperties
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.sim.places import STATION_KIND
 from bsk_torch.tasks.areas.scene import AREA_KIND, RECORDED, Areas
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -23,6 +26,108 @@ HORIZON = 5700.0
 
 SOON = 240.0
 """Time that divides ``opens_soon`` and ``closes_soon`` by e, s: about that of a turn."""
+
+MINUTES = (60.0,) * 8 + (120.0,) * 8 + (300.0,) * 8
+"""Intervals of :class:`AreaOutlook`, s: those that begin soon are short."""
+
+STATIONS = 6
+"""Number of passes over ground stations that :class:`AreaOutlook` looks at."""
+
+
+class Passes(NamedTuple):
+    """What is known of the windows of n areas, [N, n] each; times are from now on, s.
+
+    Attributes:
+        opens: Time until the window opens, negative where it has.
+        closes: Time until it closes.
+        weight: Weight of the area.
+        remaining: Due share of its surface.
+        gain: The part of ``remaining`` that a scan along the rest of the window would record.
+        offset: Distance of its center from the plane of the track, left of it, as a fraction of the reach.
+        exists: Whether there is such a window.
+    """
+
+    opens: Tensor
+    closes: Tensor
+    weight: Tensor
+    remaining: Tensor
+    gain: Tensor
+    offset: Tensor
+    exists: Tensor
+
+
+def area_passes(satellite: BoundAccessSatellite, n: int) -> Passes:
+    """Return what is known of the ``n`` areas whose windows close next."""
+    ahead = satellite.find_next_opportunities(n, AREA_KIND)
+    scenario: Areas = satellite.scenario
+    simulator = satellite.simulator
+    now, env = simulator.state.sim_time.unsqueeze(-1), simulator.of_env(satellite.fleet.all_envs).unsqueeze(-1)
+    index, opens = scenario.index[env, ahead.place], ahead.open - now
+    recorded = scenario.memory[RECORDED]
+    recorded = _rows(recorded.flatten(0, 1), env * recorded.shape[1] + ahead.place)
+    share = _rows(scenario.share, index) * scenario.due(recorded, simulator.state.ticks.view(-1, 1, 1))
+    left, along = _track(satellite, ahead)
+    half = 0.5 * scenario.swath
+    seen = _along(scenario.cells, index, left).abs_() <= half
+    open_now = torch.nonzero(opens <= 0.0).unbind(1)  # few: elsewhere all cells are ahead
+    ahead_now = _along(scenario.cells, index[open_now], Vec3(*(part[open_now] for part in along))) >= -half
+    seen[open_now] &= ahead_now
+    return Passes(
+        opens=opens,
+        closes=ahead.close - now,
+        weight=scenario.weight[env, ahead.place],
+        remaining=share.sum(-1),
+        gain=(share * seen).sum(-1),
+        offset=Vec3.of(scenario.center[index]).dot(left) / scenario.reach[index],
+        exists=ahead.mask,
+    )
+
+
+def _rows(table: Tensor, index: Tensor) -> Tensor:
+    """Return the rows [..., C] of a table [L, C] with indices [...], several times as fast as by brackets."""
+    return table.index_select(0, index.flatten()).view(*index.shape, table.shape[1])
+
+
+def _along(cells: Vec3, index: Tensor, direction: Vec3) -> Tensor:
+    """Return how far the cells of areas with an ``index`` [...] are along unit vectors, [...], m, [..., C].
+
+    By coordinates and in place: temporary tensors of all cells of all areas take most of the time.
+    """
+    total, y, z = (_rows(part, index).mul_(unit.unsqueeze(-1)) for part, unit in zip(cells, direction, strict=True))
+    return total.add_(y).add_(z)
+
+
+def _track(satellite: BoundAccessSatellite, ahead: Opportunities) -> tuple[Vec3, Vec3]:
+    """Return unit vectors, Earth-fixed, [N, n]: to the left in the middle of each window, and ahead of the satellite.
+
+    The plane of the track goes through the Earth's center and two places below the orbit that are a minute apart.
+    """
+    simulator = satellite.simulator
+    arcs, rows, now = simulator.lookahead.arcs, simulator.state.all_rows.unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
+    start = arcs.start.unsqueeze(-1)
+    node = torch.floor((ahead.mid - start) / NODE_SPACING).clamp(min=0.0)
+    node = torch.minimum(node, torch.floor((arcs.end.unsqueeze(-1) - start) / NODE_SPACING) - 1.0)
+    PN, later = Mat3.of(earth_orientation(arcs.et.unsqueeze(-1) + now)), start - now + NODE_SPACING * node
+    before, after = (
+        _turned(PN @ Vec3.of(arcs.flown[rows, node.long() + LEAD_NODES + k]), later + NODE_SPACING * k) for k in (0, 1)
+    )
+    left = before.cross(after).unit()
+    return left, left.cross(Vec3.of(satellite.dynamics.r_BN_P.unsqueeze(-2))).unit()
+
+
+def _turned(r_P: Vec3, time: Tensor) -> Vec3:
+    """Return positions in the axes of the Earth after a ``time``, s, for such in its present axes; the axis does not move."""
+    angle = EARTH_ROTATION_RATE * time
+    sin, cos = angle.sin(), angle.cos()
+    return Vec3(r_P.x * cos + r_P.y * sin, r_P.y * cos - r_P.x * sin, r_P.z)
+
+
+def _link_areas(satellite: BoundAccessSatellite, name: str, n: int) -> None:
+    """Expect queries of ``n`` areas; ValueError for a satellite without areas."""
+    if AREA_KIND not in getattr(satellite, "opportunity_types", ()):
+        raise ValueError(f"{name!r} observes areas: {satellite.name} must be a sats.AccessSatellite, the scenario Areas")
+    access = satellite.access_windows
+    access.expect(n, access.kinds[AREA_KIND].count)
 
 
 class AreaProperties(CandidateProperties):
@@ -78,52 +183,70 @@ class AreaProperties(CandidateProperties):
     @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
         super().link_satellite(satellite)
-        if AREA_KIND not in getattr(satellite, "opportunity_types", ()):
-            raise ValueError(f"{self.name!r} observes areas: {satellite.name} must be a sats.AccessSatellite, the scenario Areas")
-        access = self.satellite.access_windows
-        access.expect(self.n_ahead_observe, access.kinds[AREA_KIND].count)
+        _link_areas(self.satellite, self.name, self.n_ahead_observe)
 
     @override
     def read_candidates(self, wanted: frozenset[str]) -> tuple[dict[str, Tensor], Tensor]:
-        ahead = self.satellite.find_next_opportunities(self.n_ahead_observe, AREA_KIND)
-        scenario: Areas = self.satellite.scenario
-        simulator = self.simulator
-        now, env = simulator.state.sim_time.unsqueeze(-1), simulator.of_env(self.satellite.fleet.all_envs).unsqueeze(-1)
-        index = scenario.index[env, ahead.place]
-        opens, closes = (torch.clamp(time - now, 0.0, HORIZON) for time in (ahead.open, ahead.close))
-        share = scenario.share[index] * scenario.due(
-            scenario.memory[RECORDED][env, ahead.place], simulator.state.ticks.view(-1, 1, 1)
-        )
-        left, along = self._track(ahead)
-        cells = Vec3.of(scenario.r_CP_P[index])
-        half = 0.5 * scenario.swath
-        seen = (cells.dot(left).abs() <= half) & ((cells.dot(along) >= -half) | (opens > 0.0).unsqueeze(-1))
-        weight, gain = scenario.weight[env, ahead.place], torch.where(seen, share, 0.0).sum(-1)
+        ahead = area_passes(self.satellite, self.n_ahead_observe)
+        opens, closes = (torch.clamp(time, 0.0, HORIZON) for time in (ahead.opens, ahead.closes))
         values = {
-            "pays": weight * gain,
-            "opens_soon": torch.exp(-opens / SOON),
-            "closes_soon": torch.exp(-closes / SOON),
             "opens": opens,
             "closes": closes,
-            "weight": weight,
-            "remaining": share.sum(-1),
-            "gain": gain,
-            "offset": Vec3.of(scenario.center[index].unsqueeze(-2)).dot(left).squeeze(-1) / scenario.reach[index],
+            "weight": ahead.weight,
+            "remaining": ahead.remaining,
+            "gain": ahead.gain,
+            "offset": ahead.offset,
+            "pays": ahead.weight * ahead.gain,
+            "opens_soon": torch.exp(-opens / SOON),
+            "closes_soon": torch.exp(-closes / SOON),
         }
-        return values, ahead.mask
+        return values, ahead.exists
 
-    def _track(self, ahead: Opportunities) -> tuple[Vec3, Vec3]:
-        """Return unit vectors, Earth-fixed, [N, n, 1]: to the left in the middle of each window, and ahead of the satellite.
 
-        The plane of the track goes through the Earth's center and two places below the orbit that are a minute apart.
-        """
-        arcs, rows = self.simulator.lookahead.arcs, self.simulator.state.all_rows.unsqueeze(-1)
-        start = arcs.start.unsqueeze(-1)
-        node = torch.floor((ahead.mid - start) / NODE_SPACING).clamp(min=0.0)
-        node = torch.minimum(node, torch.floor((arcs.end.unsqueeze(-1) - start) / NODE_SPACING) - 1.0)
-        r_N = [arcs.flown[rows, node.long() + LEAD_NODES + k] for k in (0, 1)]
-        time = arcs.et.unsqueeze(-1) + start + NODE_SPACING * node
-        before, after = (Mat3.of(earth_orientation(time + NODE_SPACING * k)) @ Vec3.of(r) for k, r in enumerate(r_N))
-        left = before.cross(after).unit()
-        along = left.cross(Vec3.of(self.satellite.dynamics.r_BN_P.unsqueeze(-2))).unit()
-        return Vec3(*(part.unsqueeze(-1) for part in left)), Vec3(*(part.unsqueeze(-1) for part in along))
+class AreaOutlook(Observation):
+    """What scans would bring in each of the next intervals of time, and the part of each in which a station is in view.
+
+    ======================  =========================================================================================
+    ``worth`` (K)           weight times gain of the areas, each spread evenly over the rest of its window
+    ``in_view`` (K)         part of the interval in which a ground station is in view, 1 for all of it; only for satellites
+                            that can downlink
+    ======================  =========================================================================================
+
+    Windows and gains are as for :class:`AreaProperties`, of the areas and of the six passes over stations that close next.
+    """
+
+    satellite: BoundAccessSatellite
+
+    def __init__(self, widths: Sequence[float] = MINUTES, n_areas: int = 24, name: str = "outlook") -> None:
+        """Observe intervals of the ``widths`` [K] s, one after the other from now on, with the next ``n_areas``."""
+        super().__init__(name)
+        for width in widths:
+            number("widths", width, 0.0, unit="s", above=True)
+        self.ends = torch.tensor(widths, dtype=torch.float64).cumsum(0)
+        self.n_areas = whole("n_areas", n_areas, 1)
+
+    @override
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        super().link_satellite(satellite)
+        _link_areas(self.satellite, self.name, self.n_areas)
+        self.n_areas = min(self.n_areas, self.satellite.places(AREA_KIND))  # few areas: far more would be days away
+
+    @override
+    def get_obs(self) -> Values:
+        areas = area_passes(self.satellite, self.n_areas)
+        rest = (areas.closes - areas.opens.clamp(min=0.0)).clamp(min=1.0)
+        per_second = torch.where(areas.exists, areas.weight * areas.gain / rest, 0.0)
+        outlook = {"worth": self._spread(areas.opens, areas.closes, per_second)}
+        if STATION_KIND not in self.satellite.opportunity_types:
+            return outlook
+        stations = self.satellite.find_next_opportunities(STATIONS, STATION_KIND)
+        now = self.simulator.state.sim_time.unsqueeze(-1)
+        in_view = self._spread(stations.open - now, stations.close - now, stations.mask.double())
+        widths = self.ends.diff(prepend=self.ends.new_zeros(1)).to(in_view.device)
+        return outlook | {"in_view": (in_view / widths).clamp(max=1.0)}
+
+    def _spread(self, opens: Tensor, closes: Tensor, rate: Tensor) -> Tensor:
+        """Return the integral over each interval, [N, K], of what n windows bring per second, [N, n]."""
+        passed = torch.minimum(self.ends.to(opens.device), closes.unsqueeze(-1)) - opens.clamp(min=0.0).unsqueeze(-1)
+        total = (passed.clamp(min=0.0) * rate.unsqueeze(-1)).sum(1)
+        return total.diff(prepend=torch.zeros_like(total[:, :1]))

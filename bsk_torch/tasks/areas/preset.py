@@ -4,8 +4,8 @@ One satellite of :mod:`bsk_torch.presets.nadir_scan`, with more data, a wider sw
 and 0.6 of the rate of downlinks, flies five orbits over 500 areas, which differ between episodes. The store is full after ten
 minutes of recording, so that only areas are worth it, and not all of them.
 
-Observation, 48 numbers: the twelve of NadirScan-v1, and ``areas`` (36), for each of the four areas whose windows close next, see
-:class:`~bsk_torch.tasks.areas.AreaProperties`:
+Observation, 96 numbers: the twelve of NadirScan-v1; ``areas`` (36), for each of the four areas whose windows close next, see
+:class:`~bsk_torch.tasks.areas.AreaProperties`; and ``outlook`` (48), see :class:`~bsk_torch.tasks.areas.AreaOutlook`:
 
 ======================================  ==========================================================================
 ``opens``, ``closes``                   time until the window opens and closes, divided by 5700 s, from 0 to 1
@@ -15,6 +15,9 @@ Observation, 48 numbers: the twelve of NadirScan-v1, and ``areas`` (36), for eac
 ``offset``                              distance of its center from the track, as a fraction of the reach, from -1 to 1
 ``pays``                                ``weight`` times ``gain``
 ``opens_soon``, ``closes_soon``         exp(-t / 240 s) for the time t until the window opens or closes, from 0 to 1
+``worth`` (24)                          what scans would bring in each of the next 64 minutes' intervals: eight of 60 s,
+                                        eight of 120 s, and eight of 300 s
+``in_view`` (24)                        the part of each interval in which a ground station is in view
 ======================================  ==========================================================================
 
 Actions: 0 scan (60 s), 1 charge (60 s), 2 downlink (60 s), 3 desaturate the wheels (60 s).
@@ -42,7 +45,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.nadir_scan import BATTERY, ORBIT, ScanningSatellite, scanning_args
 from bsk_torch.tasks.areas.cells import Area, random_caps
 from bsk_torch.tasks.areas.fsw import AreaScanFSWModel
-from bsk_torch.tasks.areas.obs import AreaProperties
+from bsk_torch.tasks.areas.obs import AreaOutlook, AreaProperties
 from bsk_torch.tasks.areas.reward import AreaReward
 from bsk_torch.tasks.areas.scene import Areas
 
@@ -68,7 +71,7 @@ def round_areas() -> tuple[Area, ...]:
 class AreaScanner(ScanningSatellite):
     """The satellite of NadirScan-v1 with a trace of its swath."""
 
-    observation_spec = (*ScanningSatellite.observation_spec, AreaProperties(n_ahead_observe=4))
+    observation_spec = (*ScanningSatellite.observation_spec, AreaProperties(n_ahead_observe=4), AreaOutlook())
     action_spec = (act.Scan(duration=STEP), act.Charge(duration=STEP), act.Downlink(duration=STEP), act.Desat(duration=STEP))
     fsw_type: ClassVar[type[AreaScanFSWModel]] = AreaScanFSWModel
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 AREAS: dict[str, dict[str, object]] = {
     "mlp": dict(
+        frames=1_000_000,
         num_envs=512,
         rollout=32,
         minibatch=2048,
@@ -13,7 +14,9 @@ AREAS: dict[str, dict[str, object]] = {
         gamma=0.99995,
         lmbda=0.97,
         entropy=0.004,
-        evaluate_every=1_000_000,
+        imitate="areas",
+        imitation=0.06,
+        evaluate_every=500_000,
     )
 }
-"""For scanning areas; chosen by the trainings of docs/studies/areas.md."""
+"""For scanning areas; chosen by the trainings of docs/studies/areas.md. The rule teaches first how to survive."""

@@ -24,6 +24,7 @@ from bsk_torch.sim.state import FINITE
 from bsk_torch.sim.tick.trace import Flight
 from bsk_torch.tasks.areas.cells import Area, padded
 from bsk_torch.tasks.areas.fsw import FOOTPRINT
+from bsk_torch.vec3 import Vec3
 
 AREA_KIND = "area"
 """Type of the opportunities over areas."""
@@ -179,6 +180,7 @@ class Areas(Scenario):
         self.r_CP_P, self.share, self.center, self.reach = (
             table.to(fleet.device) for table in (self.r_CP_P, self.share, self.center, self.reach)
         )
+        self.cells = Vec3(*(part.contiguous() for part in self.r_CP_P.unbind(-1)))
         self.memory.declare(RECORDED, NEVER, self.n_areas, self.share.shape[1], dtype=torch.int32, low=NEVER)
         self._hits = list[Hits]()
         fleet.flight_observers.append(self._look)

@@ -1,5 +1,7 @@
 """Areas as a task: draws, states, observations, rewards, refusals."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from bsk_torch import data, obs, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rand import first_key
 from bsk_torch.rl.policies.shared_policy import baseline
-from bsk_torch.tasks.areas import AreaProperties, AreaReward, Areas, cap, random_caps
+from bsk_torch.tasks.areas import AreaOutlook, AreaProperties, AreaReward, Areas, cap, random_caps
 from bsk_torch.tasks.areas.preset import AreaScanner, area_args, round_areas
 from bsk_torch.tasks.areas.rules import AreaRule
 from bsk_torch.tasks.areas.scene import RECORDED
@@ -38,11 +40,12 @@ def test_the_preset_plays():
     env = make()
     td, played = scan(env, 3)
     assert torch.equal(torch.isfinite(played["observation"]), torch.ones_like(played["observation"], dtype=torch.bool))
-    assert played["observation"].shape == (3, 3, 48)
+    assert played["observation"].shape == (3, 3, 96)
     assert played["observation"].dtype == torch.float32
     names = env.satellite.observation_description[12:]
-    assert names == [f"areas.areas_{k}.{name}" for k in range(4) for name in PROPS]
-    areas = played["observation"][..., 12:].unflatten(-1, (4, len(PROPS)))
+    assert names[36:] == [f"outlook.{name}[{k}]" for name in ("worth", "in_view") for k in range(24)]
+    assert names[:36] == [f"areas.areas_{k}.{name}" for k in range(4) for name in PROPS]
+    areas = played["observation"][..., 12:48].unflatten(-1, (4, len(PROPS)))
     assert ((areas >= 0.0) & (areas <= 1.0))[..., :5].all()
     assert (areas[..., 5].abs() <= 1.0).all()
     assert (areas[..., 4] <= areas[..., 3]).all()
@@ -130,7 +133,7 @@ def test_what_a_scan_is_expected_to_record_is_recorded():
     td, ahead = scan(env, 3)[0], {}
     with env.record(("r_BN_P",), every=10) as recording:
         for _ in range(30):
-            areas, time = td["observation"][:, 12:].unflatten(-1, (4, len(PROPS))), env.satellite.simulator.sim_time
+            areas, time = td["observation"][:, 12:48].unflatten(-1, (4, len(PROPS))), env.satellite.simulator.sim_time
             place = env.satellite.find_next_opportunities(4, "area").place
             for e, k in ((areas[..., 0] > 0.0) & (areas[..., 1] < 1.0)).nonzero().tolist():  # not open yet, and within an orbit
                 _, closes, _, _, gain, offset, *_ = areas[e, k].tolist()
@@ -154,15 +157,37 @@ def test_what_a_scan_is_expected_to_record_is_recorded():
     assert np.abs(offsets - flown).max() < 0.02
 
 
+def test_the_outlook_spreads_what_windows_bring():
+    """Integrals by intervals, against sums over the windows themselves."""
+    spec = (AreaProperties(n_ahead_observe=9), AreaOutlook((60.0, 500.0, 1500.0), n_areas=9))
+    satellite = type("Watcher", (AreaScanner,), {"observation_spec": spec})("A", area_args(), may_see_nothing=True)
+    drawn = Areas(round_areas(), 300e3, 500, weights=rand.Uniform())
+    env = bsk_torch.SatelliteTasking(satellite, scenario=drawn, rewarder=AreaReward(), num_envs=8, seed=2)
+    td = scan(env, 12)[0]
+    pays = td["observation"][:, :81].unflatten(-1, (9, len(PROPS)))[..., 6].tolist()
+    now, stations = float(env.satellite.simulator.sim_time[0]), env.satellite.find_next_opportunities(6, "ground_station")
+    areas, edges = env.satellite.find_next_opportunities(9, "area"), (0.0, 60.0, 560.0, 2060.0)
+    overlap = lambda low, high, opens, closes: max(0.0, min(high, closes - now) - max(low, opens - now))
+    for e in range(8):
+        for k, (low, high) in enumerate(itertools.pairwise(edges)):
+            windows = zip(pays[e], areas.open[e].tolist(), areas.close[e].tolist(), strict=True)
+            worth = sum(pay * overlap(low, high, opens, closes) / (closes - max(opens, now)) for pay, opens, closes in windows)
+            windows = zip(stations.open[e].tolist(), stations.close[e].tolist(), stations.mask[e].tolist(), strict=True)
+            in_view = sum(overlap(low, high, opens, closes) for opens, closes, exists in windows if exists) / (high - low)
+            assert float(td["observation"][e, 81 + k]) == pytest.approx(worth, abs=1e-5)
+            assert float(td["observation"][e, 84 + k]) == pytest.approx(min(in_view, 1.0), abs=1e-5)
+    assert (td["observation"][:, 81:] > 0.0).any(0).all()
+
+
 def test_gain_counts_what_lies_ahead():
     env = make(num_envs=16, seed=3, dtype=torch.float64)
     td, _ = scan(env, 6)
-    areas = td["observation"][:, 12:].unflatten(-1, (4, len(PROPS)))
+    areas = td["observation"][:, 12:48].unflatten(-1, (4, len(PROPS)))
     inside = areas[..., 0] == 0.0
     assert inside.any()
     for _ in range(2):
         td = env.step(td.set("action", torch.ones(16, dtype=torch.int64)))["next"]  # charging records nothing
-        after = td["observation"][:, 12:].unflatten(-1, (4, len(PROPS)))
+        after = td["observation"][:, 12:48].unflatten(-1, (4, len(PROPS)))
     same = (env.satellite.find_next_opportunities(4, "area").place >= 0) & (after[..., 2] == areas[..., 2]) & inside
     assert (after[..., 4] <= areas[..., 4])[same].all()
 
@@ -222,5 +247,8 @@ def test_wrong_arguments_are_refused():
         refusal(lambda: tasking(plain, seen, AreaReward()), ValueError, "AreaScanFSWModel", "ContinuousImagingFSWModel"),
         refusal(lambda: tasking(plain, ground, AreaReward()), ValueError, "Areas", "UniformNadirScanning"),
         refusal(lambda: tasking(imager(AreaProperties()), ground, data.NoReward()), ValueError, "areas", "Areas"),
+        refusal(lambda: tasking(imager(AreaOutlook()), ground, data.NoReward()), ValueError, "outlook", "Areas"),
+        refusal(lambda: AreaOutlook([60.0, 0.0]), ValueError, "widths=0.0", "s"),
+        refusal(lambda: AreaOutlook(n_areas=0), ValueError, "n_areas=0"),
     )  # fmt: skip
     assert tasking(imager(obs.Time()), seen, AreaReward()).reset()["observation"].shape == (1, 1)
