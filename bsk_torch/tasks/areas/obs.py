@@ -27,7 +27,7 @@ HORIZON = 5700.0
 SOON = 240.0
 """Time that divides ``opens_soon`` and ``closes_soon`` by e, s: about that of a turn."""
 
-MINUTES = (60.0,) * 8 + (120.0,) * 8 + (300.0,) * 8
+INTERVALS = (60.0,) * 8 + (120.0,) * 8 + (300.0,) * 8
 """Intervals of :class:`AreaOutlook`, s: those that begin soon are short."""
 
 STATIONS = 6
@@ -217,7 +217,7 @@ class AreaOutlook(Observation):
 
     satellite: BoundAccessSatellite
 
-    def __init__(self, widths: Sequence[float] = MINUTES, n_areas: int = 24, name: str = "outlook") -> None:
+    def __init__(self, widths: Sequence[float] = INTERVALS, n_areas: int = 24, name: str = "outlook") -> None:
         """Observe intervals of the ``widths`` [K] s, one after the other from now on, with the next ``n_areas``."""
         super().__init__(name)
         for width in widths:

@@ -13,7 +13,7 @@ from typing_extensions import override
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.baselines import ScanRule, scan_rule
 from bsk_torch.rl.rules.observation_columns import Columns
-from bsk_torch.tasks.areas.obs import HORIZON, MINUTES
+from bsk_torch.tasks.areas.obs import HORIZON, INTERVALS
 
 USUAL = 0.06
 """What scans would bring per minute in Areas-v1, on average."""
@@ -51,7 +51,7 @@ class AreaRule(ScanRule):
         lead = torch.as_tensor(self.lead, dtype=observation.dtype, device=observation.device).unsqueeze(-1)  # or one for each row
         soon = see.all("opens") * HORIZON <= lead
         brings = torch.where(soon, see.all("weight") * see.all("gain"), 0.0).amax(-1)
-        ahead = see.all("worth").sum(-1) * (60.0 / sum(MINUTES)) if "outlook.worth[0]" in description else USUAL
+        ahead = see.all("worth").sum(-1) * (60.0 / sum(INTERVALS)) if "outlook.worth[0]" in description else USUAL
         idle = brings <= self.least + self.scarce * see["storage_level_fraction"] + self.rich * ahead
         return torch.where(idle & (wish == actions.index("action_nadir_scan")), actions.index("action_charge"), wish)
 
