@@ -66,19 +66,19 @@ def area_passes(satellite: BoundAccessSatellite, n: int) -> Passes:
     recorded = scenario.memory[RECORDED]
     recorded = _rows(recorded.flatten(0, 1), env * recorded.shape[1] + ahead.place)
     share = _rows(scenario.share, index) * scenario.due(recorded, simulator.state.ticks.view(-1, 1, 1))
-    left, along = _track(satellite, ahead)
+    left_axis, forward_axis = _track(satellite, ahead)
     half = 0.5 * scenario.swath
-    seen = _along(scenario.cells, index, left).abs_() <= half
+    in_strip = _along(scenario.cells, index, left_axis).abs_() <= half
     open_now = torch.nonzero(opens <= 0.0).unbind(1)  # few: elsewhere all cells are ahead
-    ahead_now = _along(scenario.cells, index[open_now], Vec3(*(part[open_now] for part in along))) >= -half
-    seen[open_now] &= ahead_now
+    ahead_now = _along(scenario.cells, index[open_now], Vec3(*(part[open_now] for part in forward_axis))) >= -half
+    in_strip[open_now] &= ahead_now
     return Passes(
         opens=opens,
         closes=ahead.close - now,
         weight=scenario.weight[env, ahead.place],
         remaining=share.sum(-1),
-        gain=(share * seen).sum(-1),
-        offset=Vec3.of(scenario.center[index]).dot(left) / scenario.reach[index],
+        gain=(share * in_strip).sum(-1),
+        offset=Vec3.of(scenario.center[index]).dot(left_axis) / scenario.reach[index],
         exists=ahead.mask,
     )
 
@@ -111,8 +111,8 @@ def _track(satellite: BoundAccessSatellite, ahead: Opportunities) -> tuple[Vec3,
     before, after = (
         _turned(PN @ Vec3.of(arcs.flown[rows, node.long() + LEAD_NODES + k]), later + NODE_SPACING * k) for k in (0, 1)
     )
-    left = before.cross(after).unit()
-    return left, left.cross(Vec3.of(satellite.dynamics.r_BN_P.unsqueeze(-2))).unit()
+    left_axis = before.cross(after).unit()
+    return left_axis, left_axis.cross(Vec3.of(satellite.dynamics.r_BN_P.unsqueeze(-2))).unit()
 
 
 def _turned(r_P: Vec3, time: Tensor) -> Vec3:
