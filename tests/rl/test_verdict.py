@@ -16,9 +16,6 @@ from bsk_torch.rl.training.verdict import FEWEST, MOST, compared_episodes, verdi
 
 ROOT = Path(__file__).parents[2]
 
-UNMEASURED = {"Constellation-v1", "ThreeSensors-v1", "Walker4-v1"}
-"""Presets whose rules take core-minutes, to be measured on a quiet machine."""
-
 ROW = {"mean": 1.0, "half_width": 0.1, "survival": 1.0, "options": {}, "core_seconds": 10.0}
 
 
@@ -96,9 +93,7 @@ def test_a_comparison_takes_a_tenth_of_the_training_at_most(monkeypatch):
 
 def test_every_preset_has_scores_of_its_rules_and_its_policy():
     table = scores()
-    assert list(table) == [name for name in LISTED if name not in UNMEASURED or name in table], (
-        "python scripts/tools/measure_presets.py --presets NAME adds a preset"
-    )
+    assert list(table) == list(LISTED), "python scripts/tools/measure_presets.py --presets NAME adds a preset"
     for name, found in table.items():
         policies = found["policies"]
         wanted = {"random", *LISTED[name].rules, *(["pretrained"] if name in makings() else [])}
