@@ -78,6 +78,12 @@ LISTED: dict[str, Listed] = {
         "record 500 areas, cell by cell, with an instrument that fills the store whatever lies below",
         ("areas", *SCANNING),
     ),
+    "AreasTeam-v1": Listed(
+        "bsk_torch.tasks.areas.preset:areas_team",
+        MANY,
+        "the same with three satellites, one behind the other, which contend for antennas of ground stations",
+        ("areas", *SCANNING),
+    ),
     "AEOS-v1": Listed(
         "bsk_torch.presets.aeos:aeos", ONE, "choose which of the next 32 targets to image, of 100 to 9,999", IMAGING
     ),

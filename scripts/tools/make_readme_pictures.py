@@ -53,7 +53,7 @@ THUMBNAIL, THUMBNAIL_TIME, DAYLIGHT = 200, 1500.0, 0.35
 """Width and height of a thumbnail, pixels; it shows the first decision after so many seconds at which the cosine of the Sun's
 zenith angle below the first satellite is so large."""
 
-LATER = {"Areas-v1": 18_000.0}
+LATER = {"Areas-v1": 18_000.0, "AreasTeam-v1": 18_000.0}
 """Presets whose thumbnail shows a later time: areas recorded in earlier revolutions are in view."""
 
 ZOOM = 1.3
@@ -67,6 +67,7 @@ INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection
 
 RULES = {
     "Areas-v1": "areas",
+    "AreasTeam-v1": "areas",
     "HeteroCluster-v1": "cooperative",
     "NadirScience-v1": "science",
     "Services-v1": "angle",

@@ -35,7 +35,7 @@ EPISODES = 256
 """Number of episodes of each preset."""
 
 FEWER = {
-    **dict.fromkeys(("AEOSConstellation-v1", "RelayConstellation-v1", "MultiInspection-v1", "Services-v1"), 64),
+    **dict.fromkeys(("AreasTeam-v1", "AEOSConstellation-v1", "RelayConstellation-v1", "MultiInspection-v1", "Services-v1"), 64),
     **dict.fromkeys(("Constellation-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1"), 16),
     "AEOSBench-v1": 8,
 }

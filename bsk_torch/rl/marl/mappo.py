@@ -267,8 +267,9 @@ class GroupLearner(Learner):
             team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.value_norm, self.config.reward_time)
         if self.imitates:
             observation = batch[self.group, "observation"]
-            inputs = {"observation": observation, "action_mask": team["action_mask"]}  # without the action of busy satellites
-            team[TAUGHT] = taught(self.teacher, TensorDict(inputs, team[DECIDES].shape))
+            legal = team["action_mask"] & team[DECIDES].unsqueeze(-1)  # none, and nothing to learn, for busy satellites
+            lesson = taught(self.teacher, TensorDict({"observation": observation, "action_mask": legal}, team[DECIDES].shape))
+            team[TAUGHT] = torch.where(team[DECIDES].view(*team.shape, -1, *[1] * (lesson.ndim - 3)), lesson, 0)
         keys = [*existing_keys(LEARNED_FROM, team), *self._further_keys()]
         samples = self._samples(team.select(*keys).reshape(-1))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]

@@ -79,6 +79,7 @@ RECIPES: Entries[dict[str, Settings]] = Entries(
         "Walker4-v1": "bsk_torch.tasks.objects.recipe:TEAM",
         "AEOSBench-v1": "bsk_torch.tasks.aeos_bench.recipe:TEAM",
         "Areas-v1": "bsk_torch.tasks.areas.recipe:AREAS",
+        "AreasTeam-v1": "bsk_torch.tasks.areas.recipe:TEAM",
         "Sites-v1": "bsk_torch.tasks.sites.recipe:SITES",
         "SitesTeam-v1": "bsk_torch.tasks.sites.recipe:TEAM",
         "RSOInspection-v1": "bsk_torch.tasks.inspection.recipe:INSPECTOR",

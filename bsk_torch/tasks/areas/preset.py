@@ -1,8 +1,13 @@
-"""Areas-v1: record areas on the ground, cell by cell, with an instrument that fills the store whatever lies below.
+"""Areas-v1 and AreasTeam-v1: record areas on the ground, cell by cell, with an instrument that fills the store.
 
 One satellite of :mod:`bsk_torch.presets.nadir_scan`, with more data, a wider swath, half of the store, two thirds of the panel
 and 0.6 of the rate of downlinks, flies five orbits over 500 areas, which differ between episodes. The store is full after ten
-minutes of recording, so that only areas are worth it, and not all of them.
+minutes of recording, whatever lies below, so that only areas are worth it, and not all of them.
+
+In AreasTeam-v1, three such satellites fly one behind the other on a circular orbit, 8 degrees apart, over the same areas. Each
+observes and does what that of Areas-v1 does, so that policies of Areas-v1 can fly it. What one has recorded is no longer due for
+the others, which see that at once; they do not observe each other's batteries and stores. A downlink of a full store takes five
+minutes, and each ground station has one antenna, for which the satellites contend.
 
 Observation, 96 numbers: the twelve of NadirScan-v1; ``areas`` (36), for each of the four areas whose windows close next, see
 :class:`~bsk_torch.tasks.areas.AreaProperties`; and ``outlook`` (48), see :class:`~bsk_torch.tasks.areas.AreaOutlook`:
@@ -40,9 +45,10 @@ from typing import Any, ClassVar
 
 import torch
 
-from bsk_torch import act, rand
-from bsk_torch.env import SatelliteTasking
+from bsk_torch import act, formations, rand
+from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.presets.nadir_scan import BATTERY, ORBIT, ScanningSatellite, scanning_args
+from bsk_torch.sim.environment.world import DEFAULT_STATIONS
 from bsk_torch.tasks.areas.cells import Area, random_caps
 from bsk_torch.tasks.areas.fsw import AreaScanFSWModel
 from bsk_torch.tasks.areas.obs import AreaOutlook, AreaProperties
@@ -60,6 +66,12 @@ STORE = 2500 * 8e6
 
 RATE = 4 * 8e6
 """Data rate of the instrument, bit/s: it fills the store in 625 s."""
+
+APART = 8.0
+"""Angle at the Earth's center between two satellites of a team, degrees: two minutes of flight."""
+
+SLOW_DOWNLINK = 8 * 8e6
+"""Rate of downlinks in a team, bit/s: a full store takes 312 s, and a pass eight minutes at most."""
 
 
 @functools.cache
@@ -107,7 +119,37 @@ def areas(
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
     """
     satellite = AreaScanner("Scanner1", area_args() | (sat_args or {}), obs_type=obs_type, may_see_nothing=True)
-    defaults: dict[str, Any] = dict(rewarder=AreaReward(), time_limit=5 * ORBIT, failure_penalty=-1.0)
-    if "scenario" not in options:
-        defaults["scenario"] = Areas(round_areas(), SWATH, n_areas, weights=rand.Uniform(), revisit=revisit)
-    return SatelliteTasking(satellite, **(defaults | options))
+    return SatelliteTasking(satellite, **(_parts(n_areas, revisit) | options))
+
+
+def areas_team(
+    *,
+    n_satellites: int = 3,
+    sat_args: dict[str, Any] | None = None,
+    obs_type: type = torch.Tensor,
+    n_areas: int = 500,
+    revisit: float | None = None,
+    **options: Any,
+) -> ConstellationTasking:
+    """Return AreasTeam-v1; see the module, and :func:`areas` for the other arguments.
+
+    Args:
+        n_satellites: Number of satellites, one behind the other.
+        sat_args: Arguments of all satellites that replace those of the preset.
+        obs_type: See :func:`areas`.
+        n_areas: See :func:`areas`.
+        revisit: See :func:`areas`.
+        **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
+    """
+    arguments = area_args() | {"transmitterBaudRate": -SLOW_DOWNLINK} | (sat_args or {})
+    satellites = [AreaScanner(f"Scanner{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
+    parts = dict(
+        sat_arg_randomizer=formations.train_args(APART, inc=rand.Uniform(40.0, 98.0)),
+        world_args={"groundStationsData": [station | {"antennas": 1} for station in DEFAULT_STATIONS]},
+    )
+    return ConstellationTasking(satellites, **(_parts(n_areas, revisit) | parts | options))
+
+
+def _parts(n_areas: int, revisit: float | None) -> dict[str, Any]:
+    scenario = Areas(round_areas(), SWATH, n_areas, weights=rand.Uniform(), revisit=revisit)
+    return dict(scenario=scenario, rewarder=AreaReward(), time_limit=5 * ORBIT, failure_penalty=-1.0)

@@ -20,3 +20,6 @@ AREAS: dict[str, dict[str, object]] = {
     )
 }
 """For scanning areas; chosen by the trainings of docs/studies/areas.md. The rule teaches first how to survive."""
+
+TEAM: dict[str, dict[str, object]] = {"attention": AREAS["mlp"] | dict(num_envs=192, minibatch=512)}
+"""For several satellites: as many decisions in a minibatch."""

@@ -11,6 +11,7 @@ from bsk_torch import data, obs, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rand import first_key
 from bsk_torch.rl.policies.shared_policy import baseline
+from bsk_torch.sim.environment.world import DEFAULT_STATIONS
 from bsk_torch.tasks.areas import AreaOutlook, AreaProperties, AreaReward, Areas, cap, random_caps
 from bsk_torch.tasks.areas.preset import AreaScanner, area_args, round_areas
 from bsk_torch.tasks.areas.rules import AreaRule
@@ -218,6 +219,41 @@ def test_satellites_that_record_the_same_cells_are_paid_alike():
         total = total + td["agents", "reward"][:, 0, 0]
     torch.testing.assert_close(total, (env.scenario.weight * env.scenario.covered()).sum(1).float())
     assert (total > 0.0).any()
+
+
+def team_downlinks(**options):
+    """Levels of the stores, [60, 4, 3] bit, of teams that downlink for an hour."""
+    env = bsk_torch.make("AreasTeam-v1", num_envs=4, seed=2, env_ids=[0] * 4, sat_args={"storageInit": 2e10}, **options)
+    td, levels = env.reset(), []
+    for _ in range(60):
+        td["agents", "action"] = torch.full((4, 3), 2)
+        td = env.step(td)["next"]
+        levels.append(env.fleet.each(lambda satellite: satellite.dynamics.storage_level))
+    return torch.stack(levels)
+
+
+def test_a_team_is_paid_once_for_a_cell_and_contends_for_antennas():
+    env = bsk_torch.make("AreasTeam-v1", num_envs=4, seed=2)
+    assert env.satellites[0].observation_description == make().satellite.observation_description  # policies fit both
+    td, total = env.reset(), 0.0
+    for _ in range(30):
+        td["agents", "action"] = torch.zeros(4, 3, dtype=torch.int64)
+        td = env.step(td)["next"]
+        total = total + td["agents", "reward"].clamp(min=0.0).sum((1, 2))
+    assert (total > 0.0).any()
+    torch.testing.assert_close(total, (env.scenario.weight * env.scenario.covered()).sum(1).float())
+    many = team_downlinks(world_args={"groundStationsData": [station | {"antennas": 3} for station in DEFAULT_STATIONS]})
+    one = team_downlinks()
+    assert (one >= many).all()
+    assert (one > many + 1e9).any()
+
+
+def test_a_rule_teaches_satellites_of_which_some_are_dead():
+    trained = bsk_torch.train(
+        "AreasTeam-v1", num_envs=4, rollout=4, frames=96, imitate="areas", imitation=1.0, episodes=0, quiet=True,
+        evaluate_every=0, options={"sat_args": {"storedCharge_Init": rand.Uniform(1.0, 3000.0)}},
+    )  # fmt: skip
+    assert all(bool(torch.isfinite(weight).all()) for weight in trained.policy.parameters())
 
 
 def test_the_figure_tells_which_cells_were_recorded(tmp_path):
