@@ -18,10 +18,12 @@ import argparse
 import importlib
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
+from statistics import mean
 from typing import Any, NamedTuple
 
 import harness
@@ -30,6 +32,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch.lab.commands.bench import document, result_of
+from bsk_torch.lab.suites.aggregates import bootstrap, interval
 from bsk_torch.lab.suites.suite import SUITES, play, published, references
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
@@ -124,15 +127,20 @@ def in_scan(trained: Trained, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def in_suite(title: str, learner: str, trained: Trained, options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Compare a policy with the best rule in a task of the suite; return also the result as ``bsk-torch bench`` writes it."""
+def rule_of(title: str, episodes: int) -> tuple[str, torch.Tensor]:
+    """Return the published rule of a task and its returns in the first ``episodes``."""
     known = published("v3")
     best = next(name for name in known["methods"]["rules"] if title in known["policies"][name])
+    return best, torch.tensor(known["policies"][best][title]["returns"][:episodes], dtype=torch.float64)
+
+
+def in_suite(title: str, learner: str, trained: Trained, options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Compare a policy with the best rule in a task of the suite; return also the result as ``bsk-torch bench`` writes it."""
     episodes = min(options.episodes, TASKS[title].episodes)
     score = play(TASKS[title], lambda preset, make: (make(), trained.policy), episodes)
     assert score is not None
     cost = {"decisions": trained.decisions, "core_seconds": round(trained.core_seconds, 1), "tuning_runs": 0}
-    rule = torch.tensor(known["policies"][best][title]["returns"][:episodes], dtype=torch.float64)
+    best, rule = rule_of(title, episodes)
     row = {
         "task": title,
         "gamma": trained.settings.gamma,
@@ -144,6 +152,27 @@ def in_suite(title: str, learner: str, trained: Trained, options: argparse.Names
     }
     package = LIBRARIES[LEARNERS[learner][0]]
     return row, result_of(score, references("v3")[title]) | {"library": f"{package} {version(package)}", "training": cost}
+
+
+def summaries(played: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return means over the seeds of each learner and task, with 95 % intervals of a bootstrap of seeds and episodes."""
+    rows: list[dict[str, Any]] = []
+    for title, learner in dict.fromkeys((title, name.partition("/")[0]) for name, tasks in played.items() for title in tasks):
+        runs = [tasks[title] for name, tasks in played.items() if name.startswith(f"{learner}/") and title in tasks]
+        returns = torch.tensor([run["returns"] for run in runs], dtype=torch.float64)
+        best, rule = rule_of(title, returns.shape[1])
+        values = {"return": returns, "gain": returns - rule}
+        drawn = bootstrap({name: {title: value} for name, value in values.items()})
+        row = {
+            "task": title,
+            "learner": learner,
+            "seeds": len(runs),
+            "rule": best,
+            "survival": mean(run["survival"] for run in runs),
+            "core_seconds": mean(run["training"]["core_seconds"] for run in runs),
+        }
+        rows.append(row | {name: interval(value.mean(), drawn[name].mean((1, 2)))._asdict() for name, value in values.items()})
+    return rows
 
 
 def main() -> None:
@@ -164,7 +193,7 @@ def main() -> None:
             row = in_scan(trained, options)
         rows.append({"learner": learner, "seed": seed, "steps": trained.decisions, "core_seconds": trained.core_seconds, **row})
         print(harness.table(COLUMNS, rows[-1:]), flush=True)
-        harness.write(options, described, rows=rows)
+        harness.write(options, described, rows=rows, **({"summaries": summaries(played)} if played else {}))
         if options.bench:
             tasks = [TASKS[name] for name in options.tasks]
             content = document("v3", tasks, min(options.episodes, max(task.episodes for task in tasks)), played)
