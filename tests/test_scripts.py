@@ -113,7 +113,10 @@ benchmarks/thruster_rules.py --settings 2 --episodes 2
   compiled: (?s)\| glide, tuned \| [\d.]+ \+- [\d.]+ \| \+0.0+ .*upper bound [23]\.\d
 benchmarks/learners.py --learners single-file-PPO --seeds 0 --episodes 2 --settings steps=64 num-envs=4 rollout=8
     time-limit=300
-  compiled: \| single-file-PPO \| 0 \| 64 \| \d+ \| [-\d.]+ \+- [\d.]+ \| [-+][\d.]+ \+- [\d.]+ \|[ ]
+  compiled: \| - \| single-file-PPO \| 0 \| 64 \| \d+ \| [-\d.]+ \+- [\d.]+ \| [-+][\d.]+ \+- [\d.]+ \|[ ]
+benchmarks/learners.py --learners single-file-PPO --tasks sites --seeds 0 1 --episodes 2
+    --settings steps=64 num-envs=4 rollout=8 --bench bench.json --out out.json
+  compiled: \| sites \| single-file-PPO \| 1 \| 64 \| \d+ \| [-\d.]+ \+- [\d.]+ \| [-+][\d.]+ \+- [\d.]+ \|[ ]
 benchmarks/memory.py --batch 4 --steps 40 --warm-up 1
   compiled: \| scan \| 40 \| [\d,.]+ \|
 benchmarks/own_environments.py --only Frugal-v1 --seeds 1 --episodes 2 --frames 32 --settings num_envs=2 rollout=8

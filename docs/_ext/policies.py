@@ -245,6 +245,25 @@ def learners() -> str:
     return with_command("learners", head, rows)
 
 
+def suite_learners() -> str:
+    """Return what learners of other libraries reach in tasks of the suite v3."""
+    within = "{value:.2f} [{low:.2f}, {high:.2f}]"
+    rows = [
+        [
+            code(row["task"]),
+            row["learner"],
+            whole(row["seeds"]),
+            within.format(**row["return"]),
+            within.format(**row["gain"]),
+            f"{row['survival']:.1%}",
+            whole(row["core_seconds"]),
+        ]
+        for row in load("learners_suite_v3")["summaries"]
+    ]
+    head = ["task", "learner", "seeds", "return", "minus the rule", "survival", "core-seconds of a training"]
+    return with_command("learners_suite_v3", head, rows)
+
+
 def of_runs(runs: Sequence[Mapping[str, float]], key: str, form: str) -> str:
     """Return the mean of a figure over runs, with the smallest and the largest; a dash if a run has none."""
     if not all(key in run for run in runs):
@@ -326,6 +345,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "headroom": headroom,
     "own_environments": own_environments,
     "learners": learners,
+    "suite_learners": suite_learners,
     "off_policy": off_policy,
     "expert_iteration": expert_iteration,
     "action_scores": action_scores,

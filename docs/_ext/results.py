@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
 
 SCRIPTS = {
+    "learners_suite_v3": "learners",
     "teams_prompt": "teams",
     "crews_three": "crews",
     "crews_walker": "crews",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,7 +57,7 @@ def leaderboard(
 
     The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks, where tasks have families of
     each family; the optimality gap is how far scores are below 1 on average. "better than" is the probability that a run scores
-    higher than a run of the other method.
+    higher than a run of the other method. Published methods that lack some of the tasks have a further table of those they play.
 
     Examples:
         bsk-torch leaderboard bench.json --draw profiles.png
@@ -88,12 +88,19 @@ def leaderboard(
     methods = methods_of(results, method) if method else separate(entries)
     if duplicates := [name for name in methods if name in reference["methods"]]:
         fail(f"{duplicates[0]!r} is a method of the published results; use another name in --method NAME=PATTERN")
-    board = board_of(results, reference["methods"] | methods, suite, tasks, against)
-    print_board(board)
+    (_, group), *fewer = groups_of(results, reference["methods"], methods, tasks).items()
+    board = board_of(results, group, suite, tasks, against)
+    parts = [board_of(results, some, suite, {task: tasks[task] for task in played}, against) for played, some in fewer]
+    for one in (board, *parts):
+        print_board(one)
+    print_message(
+        "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes, and of the references where these have "
+        "intervals; one run has those of its episodes. Decisions, core-seconds and tuning runs are the most of a training."
+    )
     if draw is not None:
         figure.performance_profiles(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
     if out is not None:
-        write_file(out, json.dumps(document(board), indent=1) + "\n")
+        write_file(out, json.dumps(document(board) | {"parts": [document(one) for one in parts]}, indent=1) + "\n")
 
 
 def separate(results: Mapping[str, Mapping[str, object]]) -> dict[str, list[str]]:
@@ -121,6 +128,28 @@ def methods_of(results: Mapping[str, Mapping[str, object]], texts: Sequence[str]
     return methods
 
 
+def groups_of(
+    results: Mapping[str, Mapping[str, object]],
+    published: Mapping[str, list[str]],
+    methods: Mapping[str, list[str]],
+    titles: Iterable[str],
+) -> dict[tuple[str, ...], dict[str, list[str]]]:
+    """Return the methods that play all of some tasks, by these tasks.
+
+    The first tasks are those that all ``methods`` play, or without any, that the most versatile of the ``published`` ones plays.
+    Fewer of them follow for published methods that lack some.
+    """
+    everyone = {**published, **methods}
+    plays = {name: {task for policy in group for task in results[policy]} for name, group in everyone.items()}
+    common = set.intersection(*(plays[name] for name in methods)) if methods else max(plays.values(), key=len)
+    whole = tuple(task for task in titles if task in common)
+    fewer = {tuple(task for task in whole if task in plays[name]) for name in published} - {()}
+    return {
+        tasks: {name: group for name, group in everyone.items() if plays[name].issuperset(tasks)}
+        for tasks in dict.fromkeys((whole, *sorted(fewer, key=lambda tasks: (-len(tasks), tasks))))
+    }
+
+
 def print_board(board: Board) -> None:
     """Print a row for each method, the best interquartile mean first, or the best mean of those of families."""
     from bsk_torch.lab.commands.board import ranked
@@ -140,10 +169,6 @@ def print_board(board: Board) -> None:
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
     expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better, "decisions")
     print_table(table, title, expendable, left=("method", "library", "track"))
-    print_message(
-        "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes, and of the references where these have "
-        "intervals; one run has those of its episodes. Decisions, core-seconds and tuning runs are the most of a training."
-    )
 
 
 def budget_cells(budget: Mapping[str, Any] | None) -> dict[str, str]:

@@ -162,6 +162,30 @@ def test_published_methods_alone(run, tmp_path, public):
     assert list(json.loads(out.read_text())["methods"]) == ["ppo"]
 
 
+def test_published_methods_of_some_tasks_have_a_table_of_these(run, board, tmp_path, monkeypatch, public):
+    content = json.loads((suites.PUBLISHED / "v1.json").read_text())
+    content["policies"]["other"] = scoring(POWER, 0.7, 0.9)
+    (suites.PUBLISHED / "v1.json").write_text(json.dumps(content | {"methods": content["methods"] | {"other": ["other"]}}))
+    suites.published.cache_clear()
+    monkeypatch.setenv("COLUMNS", "200")
+    out = tmp_path / "out.json"
+    result = run("leaderboard", "--published", "v1", "--out", out)
+    assert result.exit_code == 0, result.output
+    kept = json.loads(out.read_text())
+    assert (kept["tasks"], list(kept["methods"])) == ([SCAN, POWER], ["ppo"])
+    (part,) = kept["parts"]
+    assert (part["tasks"], part["against"]) == ([POWER], "other")
+    assert {name: row["mean"]["value"] for name, row in part["methods"].items()} == pytest.approx({"ppo": 0.5, "other": 0.8})
+    assert f"suite v1, 1 tasks: {POWER}" in result.output
+    # methods of files tell which tasks are compared: `other` does not play the first, and plays the second like all
+    assert run("leaderboard", board, "--published", "v1", "--method", "mine=scanner", "--out", out).exit_code == 0
+    kept = json.loads(out.read_text())
+    assert (kept["tasks"], list(kept["methods"]), kept["parts"]) == ([SCAN], ["ppo", "mine"], [])
+    assert run("leaderboard", board, "--published", "v1", "--method", "mine=hasty", "--out", out).exit_code == 0
+    kept = json.loads(out.read_text())
+    assert (kept["tasks"], list(kept["methods"]), kept["parts"]) == ([POWER], ["ppo", "other", "mine"], [])
+
+
 def test_wrong_use_of_published_results(run, board, public):
     assert "name a file of bsk-torch bench, or a suite with --published" in run("leaderboard").output
     result = run("leaderboard", board, "--published", "v1", "--method", "ppo=hasty")
@@ -175,10 +199,14 @@ def test_published_results_are_whole():
     kept, tasks = json.loads((PUBLISHED / "v3.json").read_text()), tasks_of("v3")
     assert len(kept["methods"]) > 2
     for name, policies in kept["methods"].items():
-        for task in tasks:
-            rows = [kept["policies"][policy][task.title] for policy in policies if task.title in kept["policies"][policy]]
-            assert rows, (name, task.title)
-            assert {len(row["returns"]) for row in rows} == {task.episodes}
+        runs = {
+            task.title: [kept["policies"][policy][task.title] for policy in policies if task.title in kept["policies"][policy]]
+            for task in tasks
+        }
+        played = {task: rows for task, rows in runs.items() if rows}
+        assert len(played) == len(tasks) or name not in ("random", "rules", "ppo"), name
+        assert len({len(rows) for rows in played.values()}) == 1, name
+        assert all(len(row["returns"]) == task.episodes for task in tasks for row in played.get(task.title, ())), name
     for task in tasks:
         low = sum(kept["policies"]["random"][task.title]["returns"]) / task.episodes
         assert low == pytest.approx(references("v3")[task.title]["low"]["return"], rel=1e-6)
