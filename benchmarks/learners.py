@@ -157,7 +157,7 @@ def in_suite(title: str, learner: str, trained: Trained, options: argparse.Names
 def summaries(played: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return means over the seeds of each learner and task, with 95 % intervals of a bootstrap of seeds and episodes."""
     rows: list[dict[str, Any]] = []
-    for title, learner in dict.fromkeys((title, name.partition("/")[0]) for name, tasks in played.items() for title in tasks):
+    for title, learner in sorted({(title, name.partition("/")[0]) for name, tasks in played.items() for title in tasks}):
         runs = [tasks[title] for name, tasks in played.items() if name.startswith(f"{learner}/") and title in tasks]
         returns = torch.tensor([run["returns"] for run in runs], dtype=torch.float64)
         best, rule = rule_of(title, returns.shape[1])
