@@ -16,7 +16,7 @@ from bsk_torch.rl.training.verdict import FEWEST, MOST, compared_episodes, verdi
 
 ROOT = Path(__file__).parents[2]
 
-UNMEASURED = {"Constellation-v1", "ThreeSensors-v1", "Walker4-v1"}
+UNMEASURED = {"Constellation-v1", "ThreeSensors-v1", "TipAndCue-v1", "Walker4-v1"}
 """Presets whose rules take core-minutes, to be measured on a quiet machine."""
 
 ROW = {"mean": 1.0, "half_width": 0.1, "survival": 1.0, "options": {}, "core_seconds": 10.0}
