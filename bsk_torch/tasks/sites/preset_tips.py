@@ -3,7 +3,7 @@
 The satellite of Sites-v1, see :mod:`bsk_torch.tasks.sites.preset`, flies half an orbit at 5 degrees inclination over 300 sites
 within 9 degrees of the equator. Each has five spots within 150 km east, west, north and south of its middle. Which of them are
 active is hidden; the probability is that of the site, from 0.1 to 0.9. A wide look at the middle shows the active spots, and
-each takes a narrow look of its own. So it matters which sites to look at, when there is time to confirm what shows itself, and
+each takes a separate narrow look. So it matters which sites to look at, when there is time to confirm what shows itself, and
 which spots to leave.
 
 Observation, 12 + 32 * 31 + 1 = 1,005 numbers: those of Sites-v1, where an image is a wide look or a narrow look at a spot. Before

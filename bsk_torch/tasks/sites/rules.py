@@ -24,7 +24,7 @@ class CommitRule:
     Attributes:
         see: Reader of the observed images.
         images: Actions that take them.
-        more: Properties that are observed in some tasks only, by which :func:`worth` tells what to do: ``"site_claims"`` for
+        more: Properties observed in some tasks only, by which :func:`worth` tells what to do: ``"site_claims"`` for
             leaving what other satellites are about to take to them, ``"wide"`` for wide looks.
     """
 
