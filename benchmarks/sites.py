@@ -1,4 +1,4 @@
-"""Head-room of Sites-v1: rules, a rule tuned by search, planners that know what is observed, and trained policies.
+"""Head-room of Sites-v1, SitesTeam-v1 and TipAndCue-v1: rules, one tuned, planners that know what is observed, and policies.
 
 Usage:
     python benchmarks/sites.py [--preset Sites-v1] [--gain convex] [--risk 0] [--settings 128] [--zooms 2] [--episodes 256]
@@ -58,6 +58,9 @@ RANGES = {
 SHARED = {"yielding": (0.0, 1.2)}
 """The same in teams only."""
 
+LOOKS = {"hope": (0.05, 1.0), "rush": (10.0, 300.0), "busy": (0.0, 1.5)}
+"""The same with wide looks only, where the nerve has no effect."""
+
 GAMMA = 0.995
 """Discount of planners per second."""
 
@@ -73,7 +76,8 @@ COLUMNS = {
 
 def environment(options: argparse.Namespace, episodes: int, **more: Any) -> Tasking:
     """Return the environment of so many episodes that are named by seeds."""
-    task = {} if options.preset == "SitesTeam-v1" else {"gain": options.gain, "risk": options.risk}
+    names = {"SitesTeam-v1": (), "TipAndCue-v1": ("gain",)}.get(options.preset, ("gain", "risk"))
+    task = {name: getattr(options, name) for name in names}
     env = bsk_torch.make(options.preset, num_envs=episodes, env_ids=[0] * episodes, time_limit=options.time_limit, **task, **more)
     assert isinstance(env, Tasking)
     return env
@@ -139,14 +143,16 @@ def main() -> None:
     before = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
     table: dict[str, dict[str, Any]] = before.get("table", {})
     flown: dict[str, dict[str, Any]] = before.get("flown", {})  # by planners, to be joined
+    more = CommitRule.of(member_view(env)).more
+    team = "site_claims" in more
+    ranges = RANGES | (SHARED if team else {}) | (LOOKS if "wide" in more else {})
     results: dict[str, Any] = {
-        "ranges": RANGES,
+        "ranges": ranges,
         "seeds": [options.first, options.first + options.episodes],
         "tuning": before.get("tuning", {}),
     }
-    team = CommitRule.of(member_view(env)).team
     if options.settings:
-        rule, ranges = commit(member_view(env)).module, RANGES | (SHARED if team else {})
+        rule = commit(member_view(env)).module
         tuning = bsk_torch.tune(rule, env, ranges, settings=options.settings, zooms=options.zooms)
         results["tuning"] = {name: getattr(tuning, name) for name in ("thresholds", "episodes", "core_seconds")}
         print(tuning, flush=True)

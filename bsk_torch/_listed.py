@@ -127,6 +127,12 @@ LISTED: dict[str, Listed] = {
         "the same with two imagers, one behind the other, whose images count together",
         ("commit", *IMAGING),
     ),
+    "TipAndCue-v1": Listed(
+        "bsk_torch.tasks.sites.preset_tips:tip_and_cue",
+        ONE,
+        "find active spots by wide looks at sites, and confirm all of a site by narrow ones in time",
+        ("commit", *IMAGING),
+    ),
     "RSOInspection-v1": Listed(
         "bsk_torch.tasks.inspection.preset:rso_inspection",
         SOLO,

@@ -30,9 +30,9 @@ SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1", "Areas-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
 MODULE = r":mod:`(bsk_torch\.(?:presets|tasks)\.[\w.]+)`"  # that a docstring names
 OBJECTS = ("Services-v1", "ThreeSensors-v1", "Walker4-v1")  # see tests/env/test_services.py, test_sensors.py
-TEAMS = ("Sites-v1", "SitesTeam-v1", "AreasTeam-v1")  # see tests/tasks/sites, tests/tasks/areas
+SITES = ("Sites-v1", "SitesTeam-v1", "TipAndCue-v1", "AreasTeam-v1")  # see tests/tasks/sites, tests/tasks/areas
 BENCH = "AEOSBench-v1"  # see tests/tasks/aeos_bench/test_scene.py
-IMAGING = sorted(set(PRESETS) - {BENCH, *SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS, *TEAMS})
+IMAGING = sorted(set(PRESETS) - {BENCH, *SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS, *SITES})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
 

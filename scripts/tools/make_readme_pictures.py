@@ -73,6 +73,7 @@ RULES = {
     "Services-v1": "angle",
     "Sites-v1": "commit",
     "SitesTeam-v1": "commit",
+    "TipAndCue-v1": "commit",
     "ThreeSensors-v1": "local",
     "Walker4-v1": "local",
     "CWDocking-v1": "glide",

@@ -29,7 +29,7 @@ def test_a_pretrained_policy_has_its_score(preset):
 
 
 WITHOUT = {"AEOSBench-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1", "CWDocking-v1", "CWInspection-v1"}
-WITHOUT |= {"AreasTeam-v1", "Sites-v1", "SitesTeam-v1"}
+WITHOUT |= {"AreasTeam-v1", "Sites-v1", "SitesTeam-v1", "TipAndCue-v1"}
 """Presets without a policy."""
 
 

@@ -82,6 +82,7 @@ RECIPES: Entries[dict[str, Settings]] = Entries(
         "AreasTeam-v1": "bsk_torch.tasks.areas.recipe:TEAM",
         "Sites-v1": "bsk_torch.tasks.sites.recipe:SITES",
         "SitesTeam-v1": "bsk_torch.tasks.sites.recipe:TEAM",
+        "TipAndCue-v1": "bsk_torch.tasks.sites.recipe:SITES",
         "RSOInspection-v1": "bsk_torch.tasks.inspection.recipe:INSPECTOR",
         "MultiInspection-v1": "bsk_torch.tasks.inspection.recipe:CREW",
         "CWDocking-v1": "bsk_torch.tasks.safe_autonomy.recipe:DOCKING",

@@ -2,5 +2,6 @@
 
 from bsk_torch.tasks.sites.reward import CompletionReward
 from bsk_torch.tasks.sites.scene import Sites
+from bsk_torch.tasks.sites.tips import ConfirmationReward, Tips
 
-__all__ = ["CompletionReward", "Sites"]
+__all__ = ["CompletionReward", "ConfirmationReward", "Sites", "Tips"]

@@ -13,7 +13,8 @@ from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.tasks.sites.scene import BEGUN, NOT_BEGUN, Sites
-from bsk_torch.tasks.sites.worth import COORDINATED, Commitment, worth
+from bsk_torch.tasks.sites.tips import WIDE, Tips
+from bsk_torch.tasks.sites.worth import CONFIRMING, COORDINATED, Commitment, worth
 
 BITS = 8
 """Numbers of the code of a site."""
@@ -70,8 +71,8 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, images: Opportu
     site = image // scenario.most
     following = satellite.find_next_opportunities(NEXT, "target")
     same = (site.unsqueeze(2) == (following.place // scenario.most).unsqueeze(1)) & following.mask.unsqueeze(1)
-    clear = 1.0 - look_up(scenario.drawn("image_risk"), following.place)
-    size, done = look_up(scenario.drawn("site_size"), site), look_up(scenario.done, site)
+    clear = 1.0 - look_up(scenario.risks, following.place)
+    size, done = look_up(scenario.size, site), look_up(scenario.done, site)
     left = same.double().sum(2)
     paid = scenario.gain(done / size)
     whole = look_up(scenario.priority, image) * size
@@ -79,20 +80,26 @@ def _prospects(satellite: BoundAccessSatellite, scenario: Sites, images: Opportu
     now = satellite.simulator.of_env(satellite.fleet.sim_time).unsqueeze(1)
     taken = torch.maximum(images.open, now + getattr(satellite, "slew", SLEW) * satellite.aims(images, None)[..., 3].sqrt())
     further = same & (image.unsqueeze(2) != following.place.unsqueeze(1))
-    latest = torch.where(further, following.close.unsqueeze(1) - EACH * further.cumsum(2), torch.inf).amin(2)
+    ends = torch.minimum(following.close, look_up(scenario.ends, following.place // scenario.most))
+    latest = torch.where(further, ends.unsqueeze(1) - EACH * further.cumsum(2), torch.inf).amin(2)
     r_LB_H, r_FB_H = satellite.aims(images, None)[..., :3], satellite.aims(following, None)[..., :3]
-    return Prospects(
+    outlook = Prospects(
         size=size,
         done=done,
         left=left,
         ago=torch.where(begun == NOT_BEGUN, 0.0, now - begun),
-        risk=look_up(scenario.drawn("image_risk"), image),
+        risk=look_up(scenario.risks, image),
         chance=torch.where(same, clear.unsqueeze(1), 1.0).prod(2),
         step=whole * (scenario.gain((done + 1.0) / size) - paid),
         finish=whole * (scenario.gain((done + left) / size) - paid),
-        margin=torch.minimum(latest, images.close) - taken,
+        margin=torch.minimum(latest, torch.minimum(images.close, look_up(scenario.ends, site))) - taken,
         others=same.double() @ r_FB_H / left.clamp(min=1.0).unsqueeze(2) - r_LB_H,
     )
+    if not isinstance(scenario, Tips):
+        return outlook
+    wide = image % scenario.most == WIDE  # it pays nothing, and shows the spots that pay
+    step, finish = torch.where(wide, 0.0, outlook.step), torch.where(wide, whole, outlook.finish)
+    return outlook._replace(left=torch.where(wide, size, left), step=step, finish=finish)
 
 
 def _prospect(name: str, satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
@@ -109,16 +116,34 @@ def team_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor
     return _part_of_best(satellite, images, shares(satellite, images)._asdict(), COORDINATED)
 
 
-def _part_of_best(satellite: BoundAccessSatellite, images: Opportunities, team: dict[str, Tensor], numbers: Commitment) -> Tensor:
+def tip_worth(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    """Return the same where a wide look shows what is left of a site."""
+    looks = {"wide": wide(satellite, images), "waiting": waiting(satellite, images)}
+    return _part_of_best(satellite, images, looks, CONFIRMING)
+
+
+def wide(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    """Return whether each image is a wide look, as 0 or 1, [N, n]."""
+    return (images.place % satellite.scenario.most == WIDE).double()
+
+
+def waiting(satellite: BoundAccessSatellite, images: Opportunities) -> Tensor:
+    """Return the number of spots that wait among the next :data:`NEXT` images, the same for all, [N, n]."""
+    following = satellite.find_next_opportunities(NEXT, "target")
+    spots = following.mask & (following.place % satellite.scenario.most != WIDE)
+    return spots.double().sum(1, keepdim=True).expand(images.place.shape)
+
+
+def _part_of_best(satellite: BoundAccessSatellite, images: Opportunities, more: dict[str, Tensor], numbers: Commitment) -> Tensor:
     now, outlook = satellite.simulator.state.sim_time.unsqueeze(1), prospects(satellite, images)
-    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | team
+    values = {f"site_{name}": value for name, value in outlook._asdict().items() if value.ndim == 2} | more
     values |= {
         "risk": outlook.risk,
         "target_angle": satellite.aims(images, None)[..., 3],
         "opportunity_open": images.open - now,
         "opportunity_close": images.close - now,
     }
-    worths = worth(values.__getitem__, numbers, bool(team))
+    worths = worth(values.__getitem__, numbers, more)
     return (worths / worths.amax(1, keepdim=True).clamp(min=1e-9)).clamp(min=-1.0)
 
 
@@ -236,3 +261,10 @@ TEAM = (
     dict(fn=partial(_share, "team_close"), prop="team_close", norm=300.0),
 )
 """The same in a team."""
+
+TIPS = (
+    *(entry | dict(fn=tip_worth) if entry["prop"] == "commit_worth" else entry for entry in SITE),
+    dict(fn=wide, prop="wide"),
+    dict(fn=waiting, prop="waiting", norm=10.0),
+)
+"""The same where a wide look shows what is left of a site."""

@@ -141,6 +141,22 @@ class Sites(TargetScenario):
         return paid
 
     @property
+    def size(self) -> Tensor:
+        """Number of images of each site, as far as it is known, [N, J] float64."""
+        return self.drawn("site_size")
+
+    @property
+    def risks(self) -> Tensor:
+        """Probability that each image is not clear, as far as it is known, [N, T] float64."""
+        return self.drawn("image_risk")
+
+    @property
+    def ends(self) -> Tensor:
+        """Time after which images of each site cannot be chosen, s, [N, J] float64; infinity before the first one."""
+        begun = self.memory[BEGUN]
+        return torch.where(begun == NOT_BEGUN, torch.inf, begun + self.within)
+
+    @property
     def shot(self) -> Tensor:
         """Images that have been taken, clear or not, [N, T] bool."""
         return self.memory[SHOT]
@@ -151,12 +167,15 @@ class Sites(TargetScenario):
         return (self.shot * self.drawn("image_clear")).unflatten(1, (-1, self.most)).sum(2)
 
     @property
+    def free(self) -> Tensor:
+        """Images not taken, [N, T] bool."""
+        return self.available & ~self.shot
+
+    @property
     def open(self) -> Tensor:
         """Images that can be chosen: those not taken, of sites that are not over and can still pay, [N, T] bool."""
-        free = self.available & ~self.shot
-        size, done = self.drawn("site_size"), self.done
+        free, size, done = self.free, self.size, self.done
         left = free.unflatten(1, (-1, self.most)).sum(2)
         pays = self.gain((done + left) / size) > self.gain(done / size)
-        begun = self.memory[BEGUN]
-        late = (begun != NOT_BEGUN) & (self.fleet.sim_time.unsqueeze(1) > begun + self.within)
+        late = self.fleet.sim_time.unsqueeze(1) > self.ends
         return free & (pays & ~late).repeat_interleave(self.most, 1)

@@ -104,8 +104,8 @@ def look_ahead(satellite: BoundAccessSatellite, images: int) -> Ahead:
     same = (site.unsqueeze(2) == site.unsqueeze(1)) & windows.mask.unsqueeze(1) & windows.mask.unsqueeze(2)
     bit = 2**number
     of_site = same * bit.unsqueeze(1)
-    size, done = look_up(scenario.drawn("site_size"), site), look_up(scenario.done, site)
-    clear = (1.0 - scenario.drawn("image_risk")).unflatten(1, (-1, scenario.most)).float()
+    size, done = look_up(scenario.size, site), look_up(scenario.done, site)
+    clear = (1.0 - scenario.risks).unflatten(1, (-1, scenario.most)).float()
     value = (look_up(scenario.priority, windows.place) * size).float()
     closes = torch.minimum(windows.close, satellite.time_limit.unsqueeze(1)) - now
     return Ahead(
