@@ -21,6 +21,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.utils import expand_as_right
 from torch import Tensor
 from torchrl.modules import ValueOperator
 from torchrl.modules.value_norm import ValueNorm
@@ -269,7 +270,7 @@ class GroupLearner(Learner):
             observation = batch[self.group, "observation"]
             legal = team["action_mask"] & team[DECIDES].unsqueeze(-1)  # none, and nothing to learn, for busy satellites
             lesson = taught(self.teacher, TensorDict({"observation": observation, "action_mask": legal}, team[DECIDES].shape))
-            team[TAUGHT] = torch.where(team[DECIDES].view(*team.shape, -1, *[1] * (lesson.ndim - 3)), lesson, 0)
+            team[TAUGHT] = torch.where(expand_as_right(team[DECIDES], lesson), lesson, 0)
         keys = [*existing_keys(LEARNED_FROM, team), *self._further_keys()]
         samples = self._samples(team.select(*keys).reshape(-1))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
