@@ -7,7 +7,7 @@ minutes of recording, whatever lies below, so that only areas are worth it, and 
 In AreasTeam-v1, three such satellites fly one behind the other, 8 degrees apart, over the same areas, on a circular orbit 500 km
 high, whose inclination is uniform from 40 to 98 degrees. Each observes and does what that of Areas-v1 does, so that policies of
 Areas-v1 can fly it. What one has recorded is no longer due for the others, which see that at once; they do not observe each
-other's batteries and stores. A downlink of a full store takes five minutes, and each ground station has one antenna, for which the
+other's batteries and stores. Downlinks of a full store take five minutes, and each ground station has one antenna, for which the
 satellites contend.
 
 Observation, 96 numbers: the twelve of NadirScan-v1; ``areas`` (36), for each of the four areas whose windows close next, see
