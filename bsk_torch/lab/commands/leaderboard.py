@@ -166,7 +166,7 @@ def print_board(board: Board) -> None:
             | budget_cells(board.budgets[name])
             | {"same on Basilisk": f"{equal} of {repeated}" if repeated else "", "library": ", ".join(board.libraries[name])}
         )
-    title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
+    title = f"suite {board.suite}, {len(board.tasks)} task{'s' * (len(board.tasks) > 1)}: {', '.join(board.tasks)}"
     expendable = ("library", "tuning runs", "mean", "optimality gap", "same on Basilisk", "core-s", better, "decisions")
     print_table(table, title, expendable, left=("method", "library", "track"))
 

@@ -275,7 +275,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``rule``                  the observations and actions of ``NadirScan-v1``
     ``cautious``              the same
     ``science``               the observations and actions of ``NadirScience-v1``
-    ``areas``                 the observations and actions of ``Areas-v1``
+    ``areas``                 the observations and actions of ``Areas-v1`` and ``AreasTeam-v1``
     ``commit``                the observations and actions of ``Sites-v1``, ``SitesTeam-v1`` and ``TipAndCue-v1``
     ``greedy``                ``act.Image``, and ``priority`` of the targets in ``obs.OpportunityProperties``
     ``nearest``               ``act.Image``, and targets in ``obs.OpportunityProperties``

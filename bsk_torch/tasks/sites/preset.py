@@ -60,6 +60,7 @@ Random at reset: orbit; places, sizes, values and directions of sites; risks and
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from bsk_torch import formations, rand
@@ -105,10 +106,7 @@ def sites(
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
-    arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
-    options = _parts(Sites(n_sites, gain=gain, risk=risk)) | options
-    (satellite,) = imagers(AgileSatellite, ["EO1"], arguments, options, **looking_ahead(*SITE, as_set=as_set))
-    return agile_environment(satellite, options)
+    return slow_imager(parts_of(Sites(n_sites, gain=gain, risk=risk), CompletionReward()) | options, SITE, as_set)
 
 
 def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SITES, **options: Any) -> ConstellationTasking:
@@ -128,8 +126,16 @@ def sites_team(*, n_satellites: int = 2, as_set: bool = False, n_sites: int = SI
     parts = dict(
         sat_arg_randomizer=train, sim_rate=0.5, max_step_duration=SOON, failure_penalty=0.0, terminate_on_time_limit=True
     )
-    return ConstellationTasking(satellites, **(_parts(Sites(n_sites)) | parts | options))
+    return ConstellationTasking(satellites, **(parts_of(Sites(n_sites), CompletionReward()) | parts | options))
 
 
-def _parts(scenario: Sites) -> dict[str, Any]:
-    return dict(scenario=scenario, rewarder=CompletionReward(), time_limit=ORBIT / 2)
+def parts_of(scenario: Sites, rewarder: CompletionReward) -> dict[str, Any]:
+    """Return the arguments that tasks of sites share."""
+    return dict(scenario=scenario, rewarder=rewarder, time_limit=ORBIT / 2)
+
+
+def slow_imager(options: dict[str, Any], properties: Sequence[dict[str, Any]], as_set: bool) -> SatelliteTasking:
+    """Return the task of one satellite that turns slowly and observes ``properties`` of images; see :func:`sites`."""
+    arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
+    (satellite,) = imagers(AgileSatellite, ["EO1"], arguments, options, **looking_ahead(*properties, as_set=as_set))
+    return agile_environment(satellite, options)

@@ -30,11 +30,9 @@ Random at reset: orbit; places and values of sites; places, probabilities and ac
 
 from __future__ import annotations
 
-from bsk_torch import rand
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.presets.aeos import ALTITUDE, ORBIT, AgileSatellite, agile_args, agile_environment, imagers, looking_ahead
 from bsk_torch.tasks.sites.obs import TIPS
-from bsk_torch.tasks.sites.preset import INCLINATION, SITES, SLOW
+from bsk_torch.tasks.sites.preset import SITES, parts_of, slow_imager
 from bsk_torch.tasks.sites.tips import ConfirmationReward, Tips
 
 
@@ -51,8 +49,5 @@ def tip_and_cue(
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
-    arguments = agile_args() | SLOW | dict(oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=INCLINATION))
-    parts = dict(scenario=Tips(n_sites, gain=gain, within=within), rewarder=ConfirmationReward(), time_limit=ORBIT / 2)
-    options = parts | options
-    (satellite,) = imagers(AgileSatellite, ["EO1"], arguments, options, **looking_ahead(*TIPS, as_set=as_set))
-    return agile_environment(satellite, options)
+    scenario = Tips(n_sites, gain=gain, within=within)
+    return slow_imager(parts_of(scenario, ConfirmationReward()) | options, TIPS, as_set)

@@ -76,14 +76,14 @@ class Tips(Sites):
     @override
     def redraw(self, rows: Tensor, key: Key, time: Tensor) -> dict[str, Tensor]:
         """See :meth:`Scenario.redraw`; the active spots of sites without a wide look, given their probabilities."""
-        risk, seen = self.drawn("image_risk")[rows], self.seen[rows].repeat_interleave(self.most, 1)
+        risk, shown = self.drawn("image_risk")[rows], self.shown_sites[rows].repeat_interleave(self.most, 1)
         new = key.named("active again").uniform(self.most_targets).to(risk.device) >= risk
-        return self._hidden(torch.where(seen, self.drawn("image_clear")[rows] > 0.5, new))
+        return self._hidden(torch.where(shown, self.drawn("image_clear")[rows] > 0.5, new))
 
     # -- state --------------------------------------------------------------------------------------------------------
 
     @property
-    def seen(self) -> Tensor:
+    def shown_sites(self) -> Tensor:
         """Sites of which a wide look has shown the active spots, [N, J] bool."""
         return self.memory[BEGUN] != NOT_BEGUN
 
@@ -92,28 +92,28 @@ class Tips(Sites):
     def size(self) -> Tensor:
         """Number of active spots of each site, expected before the wide look, [N, J] float64."""
         expected = (self.most - 1) * (1.0 - self.drawn("image_risk")[:, :: self.most])
-        return torch.where(self.seen, self.drawn("site_size"), expected)
+        return torch.where(self.shown_sites, self.drawn("site_size"), expected)
 
     @property
     @override
     def risks(self) -> Tensor:
         """Probability that each spot is not active, 0 or 1 after the wide look, [N, T] float64."""
-        seen = self.seen.repeat_interleave(self.most, 1)
-        return torch.where(seen, 1.0 - self.drawn("image_clear"), self.drawn("image_risk"))
+        shown = self.shown_sites.repeat_interleave(self.most, 1)
+        return torch.where(shown, 1.0 - self.drawn("image_clear"), self.drawn("image_risk"))
 
     @property
     @override
     def free(self) -> Tensor:
         """Wide looks not taken, and active spots that they have shown and that are not confirmed, [N, T] bool."""
-        free = (super().free & (self.drawn("image_clear") > 0.5)).unflatten(1, (-1, self.most)) & self.seen.unsqueeze(2)
-        free[..., WIDE] = ~self.seen
+        free = (super().free & (self.drawn("image_clear") > 0.5)).unflatten(1, (-1, self.most)) & self.shown_sites.unsqueeze(2)
+        free[..., WIDE] = ~self.shown_sites
         return free.flatten(1)
 
     @property
     @override
     def open(self) -> Tensor:
         """Free images of sites that can still pay: all wide looks, and spots in time, [N, T] bool."""
-        return torch.where(self.seen.repeat_interleave(self.most, 1), super().open, self.free)
+        return torch.where(self.shown_sites.repeat_interleave(self.most, 1), super().open, self.free)
 
 
 class ConfirmationReward(CompletionReward):

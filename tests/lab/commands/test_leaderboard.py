@@ -176,7 +176,7 @@ def test_published_methods_of_some_tasks_have_a_table_of_these(run, board, tmp_p
     (part,) = kept["parts"]
     assert (part["tasks"], part["against"]) == ([POWER], "other")
     assert {name: row["mean"]["value"] for name, row in part["methods"].items()} == pytest.approx({"ppo": 0.5, "other": 0.8})
-    assert f"suite v1, 1 tasks: {POWER}" in result.output
+    assert f"suite v1, 1 task: {POWER}" in result.output
     # methods of files tell which tasks are compared: `other` does not play the first, and plays the second like all
     assert run("leaderboard", board, "--published", "v1", "--method", "mine=scanner", "--out", out).exit_code == 0
     kept = json.loads(out.read_text())

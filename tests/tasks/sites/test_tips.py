@@ -128,7 +128,7 @@ def test_nothing_tells_what_no_look_has_shown():
     swapped(other, 7)
     hidden = other.scenario.drawn("image_clear") != env.scenario.drawn("image_clear")
     assert (hidden.sum(1) > 300).all()
-    assert not (hidden & env.scenario.seen.repeat_interleave(6, 1)).any()
+    assert not (hidden & env.scenario.shown_sites.repeat_interleave(6, 1)).any()
     again = other.observe()
     for name in ("observation", "action_mask"):
         assert torch.equal(again[name], env.observe()[name])
@@ -150,7 +150,7 @@ def test_a_wide_look_shows_the_active_spots():
         action = reader.read(td["observation"], "commit_worth").masked_fill(~wide, -2.0).argmax(1)
         target = place[rows, action]
         td = env.step(td.set("action", action))["next"]
-        seen = env.scenario.seen[rows, target // 6]
+        seen = env.scenario.shown_sites[rows, target // 6]
         spots = env.scenario.open.unflatten(1, (-1, 6))[rows, target // 6]
         active = env.scenario.drawn("image_clear").unflatten(1, (-1, 6))[rows, target // 6] > 0.5
         assert torch.equal(spots[seen], active[seen])
@@ -158,7 +158,7 @@ def test_a_wide_look_shows_the_active_spots():
         assert not spots[~seen, 1:].any()
         ahead = env.satellite.find_next_opportunities(64, "target")
         assert env.scenario.open.gather(1, ahead.place)[ahead.mask].all()
-    assert int(env.scenario.seen.sum()) > 12
+    assert int(env.scenario.shown_sites.sum()) > 12
     assert (env.scenario.open.unflatten(1, (-1, 6))[..., 1:].sum((1, 2)) > 3).all()
 
 
@@ -166,7 +166,7 @@ def test_futures_keep_what_has_been_seen():
     env = make(num_envs=2)
     play(env, 30)
     scenario, rows = env.scenario, torch.tensor([1])
-    seen = scenario.seen[1].repeat_interleave(6)
+    seen = scenario.shown_sites[1].repeat_interleave(6)
     assert 30 < int(seen.sum()) < 1500
     futures = [scenario.redraw(rows, key(k), torch.zeros(1)) for k in range(200)]
     active = torch.cat([future["image_clear"] for future in futures])
